@@ -1,0 +1,1 @@
+"""shapeforge: understand a family of 3D shapes."""
