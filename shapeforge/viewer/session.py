@@ -74,10 +74,6 @@ class Edits:
             self._done.append(edit)
 
 
-# Compared by identity: comparing their arrays would be slow and ambiguous.
-_BY_IDENTITY = ("project", "progress", "history")
-
-
 @dataclass(eq=False)
 class Session:
     """State of the window; every assignment that changes a field emits ``events.<field>(new, old)``.
@@ -88,9 +84,13 @@ class Session:
     existence asked of a draw.  Assign new tuples and dicts; changing a dict in place tells nobody.
     """
 
-    events: ClassVar[SignalGroupDescriptor] = SignalGroupDescriptor(
-        eq_operators={name: operator.is_ for name in _BY_IDENTITY}
-    )
+    # Compared by identity: comparing their arrays would be slow and ambiguous.
+    __eq_operators__: ClassVar[dict[str, Any]] = {
+        "project": operator.is_,
+        "progress": operator.is_,
+        "history": operator.is_,
+    }
+    events: ClassVar[SignalGroupDescriptor] = SignalGroupDescriptor()
     # Data of the project changed: "shapes", "groups", "labels", "fit", "machine" or "draws".
     data_changed: ClassVar[Signal] = Signal(str)
 
