@@ -116,10 +116,11 @@ class Session:
     status_kind: str = "info"
     progress: Any = None
     running: bool = False
-    paused: bool = False
+    is_paused: bool = False
     stage: str | None = None
     history: UndoHistory = field(default_factory=Edits)
     edit_count: int = 0
+    revision: int = 0
 
     def say(self, text: str, kind: str = "info") -> None:
         """Show one sentence in the status; ``kind`` is info, ok, warning or error."""
@@ -127,7 +128,11 @@ class Session:
         self.status = text
 
     def touch(self, what: str) -> None:
-        """Tell all that data of the project changed ("shapes", "groups", "labels", "fit", "machine", "draws")."""
+        """Tell all that data of the project changed ("shapes", "groups", "labels", "fit", "machine", "draws").
+
+        ``revision`` counts these, so that whoever keeps something derived from the project knows when it is old.
+        """
+        self.revision += 1
         self.data_changed.emit(what)
 
     def open(self, project: Any) -> None:
@@ -135,6 +140,7 @@ class Session:
         self.shape, self.selected, self.watched, self.compare = None, (), (), ()
         self.round, self.picked, self.sliders, self.parts_on = None, None, {}, {}
         self.progress, self.history, self.place = None, Edits(), "collection"
+        self.revision += 1
         self.project = project
         self.say("" if project is None else f"Opened {Path(project.path).name}")
 
