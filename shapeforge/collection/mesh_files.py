@@ -1,0 +1,122 @@
+"""Writing meshes whose triangles belong to named, coloured parts: GLB, PLY, OBJ, STL.  Every write is atomic."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+GREY = (160, 160, 160)
+
+
+def write_mesh(
+    path: str | Path,
+    vertices: Float[np.ndarray, "V 3"],
+    triangles: Int[np.ndarray, "N 3"],
+    part: Int[np.ndarray, " N"],
+    part_names: Sequence[str],
+    colours: UInt8[np.ndarray, "L 3"],
+) -> None:
+    """Write a mesh; the ending of ``path`` (glb, ply, obj, stl) chooses the format.
+
+    ``part`` (N,) is an index into ``part_names`` and ``colours``, or -1 (grey, "unlabelled").  GLB has one node per
+    part; PLY colours on vertices and faces and an int face property ``part``; OBJ groups ``g part`` in the order of
+    the triangles, with a .mtl beside it; STL the surface alone.  Vertices and the order of triangles are kept, except
+    in GLB, where each node has the vertices of its part.
+    """
+    path = Path(path)
+    writers = {".glb": _glb, ".ply": _ply, ".obj": _obj, ".stl": _stl}
+    if path.suffix.lower() not in writers:
+        raise ValueError(f"path: wanted an ending of {', '.join(writers)}, got {path.name!r}")
+    if len(part) != len(triangles):
+        raise ValueError(f"part: wanted one number per triangle ({len(triangles)}), got {len(part)}")
+    if len(part_names) != len(colours):
+        raise ValueError(f"colours: wanted one per part name ({len(part_names)}), got {len(colours)}")
+    if len(part) and not -1 <= part.min() <= part.max() < len(part_names):
+        raise ValueError(f"part: wanted -1..{len(part_names) - 1}, got {part.min()}..{part.max()}")
+    if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(vertices):
+        raise ValueError(f"triangles: wanted vertices 0..{len(vertices) - 1}, got {triangles.min()}..{triangles.max()}")
+    names = [*part_names, "unlabelled"]  # index -1
+    palette = np.vstack([np.asarray(colours, np.uint8).reshape(-1, 3), np.array([GREY], np.uint8)])
+    writers[path.suffix.lower()](path, np.asarray(vertices, np.float64), triangles, part, names, palette)
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write ``data`` so that ``path`` is at any moment the old file or the new one, whole."""
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        # mkstemp makes files private; give it the permissions an ordinary file would have had
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(name, 0o666 & ~mask)
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def _glb(path, vertices, triangles, part, names, palette) -> None:
+    import trimesh
+
+    scene = trimesh.Scene()
+    for index in np.unique(part):
+        used, local = np.unique(triangles[part == index], return_inverse=True)
+        material = trimesh.visual.material.PBRMaterial(
+            name=names[index],
+            baseColorFactor=[*palette[index].tolist(), 255],
+            metallicFactor=0.0,
+            roughnessFactor=0.8,
+            doubleSided=True,
+        )
+        mesh = trimesh.Trimesh(vertices[used], local.reshape(-1, 3), process=False)
+        mesh.visual = trimesh.visual.TextureVisuals(material=material)
+        scene.add_geometry(mesh, node_name=names[index], geom_name=names[index])
+    write_atomically(path, trimesh.exchange.gltf.export_glb(scene))
+
+
+def _ply(path, vertices, triangles, part, names, palette) -> None:
+    corner_colour = np.full((len(vertices), 3), GREY, np.uint8)
+    corner_colour[triangles.reshape(-1)] = np.repeat(palette[part], 3, axis=0)  # a shared vertex: the last part wins
+    vertex = np.empty(len(vertices), [("xyz", "<f8", 3), ("rgb", "u1", 3)])
+    vertex["xyz"], vertex["rgb"] = vertices, corner_colour
+    face = np.empty(len(triangles), [("n", "u1"), ("corners", "<i4", 3), ("rgb", "u1", 3), ("part", "<i4")])
+    face["n"], face["corners"], face["rgb"], face["part"] = 3, triangles, palette[part], part
+    header = ["ply", "format binary_little_endian 1.0"]
+    header += [f"comment part {i} {name}" for i, name in enumerate(names[:-1])]
+    header += [f"element vertex {len(vertex)}", *(f"property double {axis}" for axis in "xyz")]
+    header += [f"property uchar {c}" for c in ("red", "green", "blue")]
+    header += [f"element face {len(face)}", "property list uchar int vertex_indices"]
+    header += [f"property uchar {c}" for c in ("red", "green", "blue")] + ["property int part", "end_header", ""]
+    write_atomically(path, "\n".join(header).encode() + vertex.tobytes() + face.tobytes())
+
+
+def _obj(path, vertices, triangles, part, names, palette) -> None:
+    words = ["_".join(name.split()) or f"part_{i}" for i, name in enumerate(names)]  # a group name has no blanks
+    material = path.with_suffix(".mtl")
+    used = np.unique(part)
+    colours = [f"newmtl {words[i]}\nKd {' '.join(f'{c / 255:.4f}' for c in palette[i])}\n" for i in used]
+    lines = [f"mtllib {material.name}"]
+    lines += ["v %r %r %r" % row for row in map(tuple, vertices.tolist())]
+    starts = np.flatnonzero(np.diff(part, prepend=part[:1] + 1)) if len(part) else []
+    for start, end in zip(starts, [*starts[1:], len(part)], strict=True):
+        word = words[part[start]]
+        lines += [f"g {word}", f"usemtl {word}"]
+        lines += ["f %d %d %d" % row for row in map(tuple, (triangles[start:end] + 1).tolist())]
+    write_atomically(material, "\n".join(colours).encode())  # first: the .obj refers to it
+    write_atomically(path, ("\n".join(lines) + "\n").encode())
+
+
+def _stl(path, vertices, triangles, part, names, palette) -> None:
+    corners = vertices[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    facet = np.zeros(len(triangles), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
+    facet["normal"] = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
+    facet["corners"] = corners
+    write_atomically(path, b"shapeforge".ljust(80) + np.uint32(len(facet)).tobytes() + facet.tobytes())

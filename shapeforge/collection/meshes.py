@@ -1,0 +1,186 @@
+"""Meshes as their files have them: face ``k`` is the k-th face record (DESIGN "Files").
+
+OBJ, OFF and PLY are read by our own record readers (``records``); STL, GLB and GLTF, which know triangles only, by
+trimesh.  Writing meshes with coloured parts is in ``mesh_files``.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from shapeforge.collection import _kernels_text as kernels
+from shapeforge.collection.mesh_files import write_mesh
+from shapeforge.collection.records import CUT_SHORT, EXPORT_AGAIN, MeshError, Records, read_obj, read_off, read_ply
+from shapeforge.collection.shape import Mesh
+
+__all__ = ["MeshError", "find_meshes", "read_mesh", "repair_notes", "triangulate_records", "write_mesh"]
+
+RECORD_READERS = {".obj": read_obj, ".off": read_off, ".ply": read_ply}
+TRIANGLE_FORMATS = (".stl", ".glb", ".gltf")
+MESH_ENDINGS = (*RECORD_READERS, *TRIANGLE_FORMATS)
+# areas and their squares must stay inside binary64; a mesh this far from its own size has lost its detail to rounding
+LARGEST, SMALLEST, FARTHEST = 1e50, 1e-50, 1e9
+
+
+def read_mesh(path: str | Path) -> Mesh:
+    """The mesh of a file, in the file's own coordinates, units and axes.
+
+    Raises ``MeshError`` (file, problem, remedy) where the file cannot be read or has no surface.
+    """
+    path = Path(path)
+    ending = path.suffix.lower()
+    if ending not in MESH_ENDINGS:
+        known = ", ".join(e[1:] for e in MESH_ENDINGS)
+        raise MeshError(path, f"files ending in {ending or 'nothing'!r} are not read", f"Save it as one of {known}")
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise MeshError(path, "there is no such file", "Check the path") from None
+    except OSError as error:
+        raise MeshError(path, f"it cannot be opened ({error.strerror})", "Check the path and its permissions") from None
+    if not data.strip():
+        raise MeshError(path, "the file is empty", CUT_SHORT)
+    if ending in RECORD_READERS:
+        return _checked(path, RECORD_READERS[ending](path, data))
+    return _checked(path, _read_triangles(path, ending[1:], data))
+
+
+def _checked(path: Path, records: Records) -> Mesh:
+    """The triangulated mesh, or the reason why it is none."""
+    vertices, corners, counts = records.vertices, records.corners, records.counts
+    if len(counts) == 0:
+        raise MeshError(path, "it has no faces (a point cloud?)", "Export it with its faces")
+    if len(vertices) == 0:
+        raise MeshError(path, "it has no vertices", EXPORT_AGAIN)
+    if len(corners) and (corners.min() < 0 or corners.max() >= len(vertices)):
+        bad = int(np.flatnonzero((corners < 0) | (corners >= len(vertices)))[0])
+        face = int(np.searchsorted(np.cumsum(counts), bad, side="right")) + 1
+        raise MeshError(path, f"face {face} uses a vertex that does not exist ({len(vertices)} are there)", CUT_SHORT)
+    if not np.isfinite(vertices).all():
+        row = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0]) + 1
+        raise MeshError(path, f"vertex {row} has a coordinate that is not a finite number", EXPORT_AGAIN)
+    triangles, face_of_triangle = triangulate_records(vertices, corners, counts)
+    used = vertices[np.unique(triangles)] if len(triangles) else vertices[:0]
+    extent = np.ptp(used, axis=0) if len(used) else np.zeros(3)
+    diagonal = float(np.linalg.norm(extent)) if extent.max() < LARGEST else np.inf
+    if diagonal == 0:
+        raise MeshError(path, "all of its faces shrink to a point or a line", EXPORT_AGAIN)
+    if not SMALLEST < diagonal < LARGEST:
+        raise MeshError(path, f"its size {diagonal:.3g} is beyond what can be computed with", "Rescale it")
+    if np.abs(used).max() > FARTHEST * diagonal:
+        remedy = "Move it to the origin before exporting"
+        raise MeshError(path, "it lies so far from the origin that its coordinates are rounded away", remedy)
+    mesh = Mesh(vertices, triangles, face_of_triangle, len(counts), str(path))
+    # relative to the diagonal: rounding alone leaves about 1e-16
+    if mesh.triangle_areas.sum() < 1e-13 * diagonal**2:
+        raise MeshError(path, "all of its faces together have no area", EXPORT_AGAIN)
+    return mesh
+
+
+def triangulate_records(
+    vertices: Float[np.ndarray, "V 3"], corners: Int[np.ndarray, " C"], counts: Int[np.ndarray, " F"]
+) -> tuple[Int[np.ndarray, "N 3"], Int[np.ndarray, " N"]]:
+    """Cut face records into triangles (N, 3); also the record of each triangle (N,), ascending.
+
+    Record k has the next ``counts[k]`` of ``corners``.  Convex polygons become fans, others lose their ears in the
+    plane of their Newell normal.  A triangle that names a vertex twice is left out, so a record may own none.
+    """
+    triangles, record = kernels.cut_polygons(
+        np.ascontiguousarray(vertices, np.float64), corners.astype(np.int64), counts.astype(np.int64)
+    )
+    return triangles.astype(np.int32), record.astype(np.int32)
+
+
+def _read_triangles(path: Path, kind: str, data: bytes) -> Records:
+    """STL, GLB, GLTF: triangles in file order, the nodes of a scene one after the other where the scene puts them."""
+    import trimesh
+
+    try:
+        # the resolver looks beside the file only: nothing is ever fetched over a network
+        scene = trimesh.load_scene(path, file_type=kind, process=False, skip_materials=True)
+        vertices, triangles, total = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
+        for node in scene.graph.nodes_geometry:
+            transform, name = scene.graph[node]
+            geometry = scene.geometry[name]
+            if isinstance(geometry, trimesh.Trimesh):
+                vertices.append(geometry.vertices @ transform[:3, :3].T + transform[:3, 3])
+                triangles.append(np.asarray(geometry.faces, np.int64) + total)
+                total += len(geometry.vertices)
+    except Exception as error:  # trimesh lets whatever its parsers meet escape
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise MeshError(path, f"it cannot be read as {kind} ({reason})", EXPORT_AGAIN) from error
+    corners = np.concatenate(triangles)
+    points = np.concatenate(vertices).astype(np.float64)
+    if kind == "stl" and len(points) and np.isfinite(points).all():
+        # STL repeats every corner; equal corners are one vertex
+        points, back = np.unique(points, axis=0, return_inverse=True)
+        corners = back.reshape(-1)[corners]
+    return Records(points, corners.reshape(-1).astype(np.int64), np.full(len(corners), 3, np.int64))
+
+
+def repair_notes(mesh: Mesh) -> tuple[str, ...]:
+    """What is odd about a mesh and what is done about it, a sentence each; nothing when all is well."""
+    notes = []
+    areas = mesh.face_areas
+    flat = int(np.count_nonzero(areas <= 1e-14 * areas.sum()))
+    if flat:
+        notes.append(f"{flat} face{'s' * (flat > 1)} without area, ignored")
+    corners = np.sort(mesh.triangles, axis=1)
+    repeated = len(corners) - len(np.unique(corners, axis=0))
+    if repeated:
+        notes.append(f"{repeated} triangle{'s' * (repeated > 1)} drawn twice, counted twice")
+    return tuple(notes)
+
+
+def find_meshes(paths: Iterable[str | Path]) -> list[tuple[str, Path]]:
+    """(name, file) of every mesh file named or, recursively, in the folders named, sorted by name.
+
+    A shape's name is its file's stem.  Where stems collide, those shapes are named by their relative path without its
+    ending, ``/`` written ``__``; where even these collide (``a.obj`` beside ``a.ply``), with the ending.  Files named
+    outright are kept whatever their ending, so that reading them reports it.  Raises ``MeshError`` where a path does
+    not exist or nothing is found.
+    """
+    found: dict[Path, Path] = {}  # resolved file -> path relative to what was asked for
+    asked = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
+    files: dict[Path, Path] = {}
+    for path in asked:
+        if path.is_dir():
+            for file in sorted(path.rglob("*")):
+                relative = file.relative_to(path)
+                hidden = any(part.startswith((".", "__MACOSX")) for part in relative.parts)
+                if file.suffix.lower() in MESH_ENDINGS and file.is_file() and not hidden:
+                    found.setdefault(file.resolve(), relative)
+                    files.setdefault(file.resolve(), file)
+        elif path.exists():
+            found.setdefault(path.resolve(), Path(*path.parts[-2:]) if path.parent.name else Path(path.name))
+            files.setdefault(path.resolve(), path)
+        else:
+            raise MeshError(path, "there is no such file or folder", "Check the path")
+    if not found:
+        where = ", ".join(str(p) for p in asked) or "nothing"
+        known = ", ".join(e[1:] for e in MESH_ENDINGS)
+        raise MeshError(asked[0] if asked else Path("."), f"no mesh files in {where}", f"Endings that are read: {known}")
+    names = _distinct_names(found)
+    return sorted(((names[key], files[key]) for key in found), key=lambda pair: pair[0])
+
+
+def _distinct_names(found: dict[Path, Path]) -> dict[Path, str]:
+    """A name for each file, as short as distinctness allows."""
+    makers = (
+        lambda key: found[key].stem,
+        lambda key: "__".join(found[key].with_suffix("").parts),
+        lambda key: "__".join(found[key].parts),
+        lambda key: "__".join(key.parts[1:]),  # two folders asked for with the same inside: the full path
+    )
+    names = {key: makers[0](key) for key in found}
+    for make in makers[1:]:
+        seen = Counter(names.values())
+        if max(seen.values()) == 1:
+            break
+        names = {key: make(key) if seen[name] > 1 else name for key, name in names.items()}
+    return names

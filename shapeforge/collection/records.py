@@ -1,0 +1,287 @@
+"""Polygon records of OBJ, OFF and PLY files, in the order of the file.
+
+General mesh readers split and reorder faces; labels refer to face records, so these readers keep every record, the
+degenerate ones too.  Formats: OBJ (Wavefront, appendix B), OFF (Geomview manual 4.2.5), PLY (Turk 1994).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from shapeforge.collection import _kernels_text as kernels
+
+
+class MeshError(ValueError):
+    """A mesh file that cannot be used: which file, what is wrong, what to do about it."""
+
+    def __init__(self, path: str | Path, problem: str, remedy: str):
+        self.path = Path(path)
+        self.problem = problem
+        self.remedy = remedy
+        super().__init__(f"{self.path.name or self.path}: {problem}. {remedy}")
+
+    def __reduce__(self):
+        # the default would call MeshError(message): errors must survive the way back from a worker process
+        return MeshError, (self.path, self.problem, self.remedy)
+
+
+EXPORT_AGAIN = "Export it again from the program that made it"
+CUT_SHORT = "The file was probably cut short: copy or download it again"
+
+
+@dataclass(frozen=True, eq=False)
+class Records:
+    """Vertices and face records of a file: record k has ``counts[k]`` corners, one after the other in ``corners``."""
+
+    vertices: Float[np.ndarray, "V 3"]
+    corners: Int[np.ndarray, " C"]
+    counts: Int[np.ndarray, " F"]
+
+
+def _settle(path: Path, text: np.ndarray, values: np.ndarray, hard: np.ndarray) -> None:
+    """Fill ``values`` where the quick number parser passed the token on; not a number at all is an error."""
+    for index, begin, end in hard:
+        token = text[begin:end].tobytes()
+        try:
+            if b"_" in token:  # float() would take 1_000
+                raise ValueError
+            values[index] = float(token)
+        except ValueError:
+            word = token[:40].decode("latin-1")
+            line = int(np.count_nonzero(text[:begin] == kernels.NEWLINE)) + 1
+            comma = "Write decimals with a dot, not a comma" if "," in word else EXPORT_AGAIN
+            raise MeshError(path, f"line {line} has {word!r} where a number should be", comma) from None
+
+
+def read_obj(path: Path, data: bytes) -> Records:
+    """Records of an OBJ file: vertices ``v``, faces ``f``; everything else (points, lines, groups, ...) is ignored."""
+    if b"\\" in data:
+        data = data.replace(b"\\\r\n", b"  ").replace(b"\\\n", b"  ")
+    if b"\n" not in data and b"\r" in data:  # line ends of old Macintosh programs
+        data = data.replace(b"\r", b"\n")
+    text = np.frombuffer(data.removeprefix(b"\xef\xbb\xbf"), np.uint8)
+    vertices, corners, counts, hard, error, line = kernels.parse_obj(text)
+    if error == kernels.SHORT_VERTEX:
+        raise MeshError(path, f"line {line}: a vertex with fewer than 3 coordinates", CUT_SHORT)
+    if error == kernels.BAD_CORNER:
+        raise MeshError(path, f"line {line}: a face corner that is no vertex number", EXPORT_AGAIN)
+    if error == kernels.BAD_INDEX:
+        raise MeshError(path, f"line {line}: a face uses a vertex that does not exist", EXPORT_AGAIN)
+    _settle(path, text, vertices.reshape(-1), hard)
+    if len(vertices) == 0 and len(counts) == 0:
+        raise MeshError(path, "no vertices and no faces: this is no OBJ text", "Check that the ending .obj is right")
+    return Records(vertices, corners, counts)
+
+
+def read_off(path: Path, data: bytes) -> Records:
+    """Records of an OFF file: any of the prefixes ST, C, N, 4; counts may stand on the header's line."""
+    head = data[:64].lstrip()
+    start = data.find(b"OFF")
+    if 0 <= start <= len(data) - 3 and not data[:start].strip(b" \t\r\nSTCN4n") and start < 64:
+        start += 3
+    elif head[:1].isdigit() or head[:1] == b"#":
+        start = data.find(b"OFF") + 3 if b"OFF" in data[:4096] else 0
+    else:
+        raise MeshError(path, "it does not begin with OFF", "Check that the ending .off is right")
+    four = b"4" in data[: max(start - 3, 0)][-8:]
+    if data[start : start + 16].lstrip(b" ").startswith(b"BINARY"):
+        raise MeshError(path, "binary OFF is not supported", "Save it as a text OFF, PLY or OBJ file")
+    text = np.frombuffer(data, np.uint8)
+    values, lines, hard = kernels.parse_numbers(text, start)
+    _settle(path, text, values, hard)
+    if len(values) < 3:
+        raise MeshError(path, "the counts of vertices and faces are missing", CUT_SHORT)
+    n_vertices, n_faces = _count(path, values[0]), _count(path, values[1])
+    begins = np.flatnonzero(np.concatenate([[True], np.diff(lines) > 0]))
+    body = begins[begins >= 2]
+    # the third count (edges) is often left out: the first row is the first line after the counts
+    body = body[lines[body] > lines[1]]
+    if len(body) < n_vertices + n_faces:
+        return _off_stream(path, values, n_vertices, n_faces, 4 if four else 3)
+    width = np.diff(np.append(body, len(values)))
+    if n_vertices and width[:n_vertices].min() < 3:
+        raise MeshError(path, "a vertex with fewer than 3 coordinates", CUT_SHORT)
+    vertices = values[body[:n_vertices, None] + np.arange(3)] if n_vertices else np.empty((0, 3))
+    rows = body[n_vertices : n_vertices + n_faces]
+    counts = values[rows].astype(np.int64)
+    if n_faces and (counts < 0).any() or (counts + 1 > width[n_vertices : n_vertices + n_faces]).any():
+        raise MeshError(path, "a face names fewer corners than it announces", CUT_SHORT)
+    return Records(vertices, values[_runs(rows + 1, counts)].astype(np.int64), counts)
+
+
+def _off_stream(path: Path, values: np.ndarray, n_vertices: int, n_faces: int, width: int) -> Records:
+    """OFF whose rows do not each have a line of their own: nothing but the numbers that must be there."""
+    start = 3 + width * n_vertices
+    begins, counts, end = kernels.walk_lists(values, start, n_faces, np.array([True]), 0)
+    if start > len(values) or end < 0:
+        raise MeshError(path, f"it announces {n_vertices} vertices and {n_faces} faces, but has fewer", CUT_SHORT)
+    vertices = values[3:start].reshape(n_vertices, width)[:, :3].copy()
+    return Records(vertices, values[_runs(begins, counts)].astype(np.int64), counts)
+
+
+def _count(path: Path, value: float) -> int:
+    if not (0 <= value < 2**31 and value == int(value)):
+        raise MeshError(path, f"its header announces {value:g} elements", EXPORT_AGAIN)
+    return int(value)
+
+
+def _runs(begins: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """begins[0], begins[0]+1, ... (counts[0] of them), then begins[1], ..."""
+    ends = np.cumsum(counts)
+    return np.arange(ends[-1] if len(ends) else 0) + np.repeat(begins - (ends - counts), counts)
+
+
+PLY_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+
+
+@dataclass(frozen=True)
+class _Property:
+    name: str
+    value: str  # numpy code without byte order
+    count: str | None  # of a list's length; None: a single number
+
+
+@dataclass(frozen=True)
+class _Element:
+    name: str
+    rows: int
+    properties: tuple[_Property, ...]
+
+    def find(self, *names: str) -> int:
+        for i, p in enumerate(self.properties):
+            if p.name in names:
+                return i
+        return -1
+
+
+def read_ply(path: Path, data: bytes) -> Records:
+    """Records of a PLY file: text or binary of either byte order, any properties, any further elements."""
+    layout, elements, start = _ply_header(path, data)
+    if layout == "ascii":
+        text = np.frombuffer(data, np.uint8)
+        numbers, _, hard = kernels.parse_numbers(text, start)
+        _settle(path, text, numbers, hard)
+        start = 0
+    else:
+        numbers = np.frombuffer(data, np.uint8)
+    vertices, corners, counts = np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.int64)
+    read = _ascii_element if layout == "ascii" else _binary_element
+    for element in elements:
+        wanted = element.find("vertex_indices", "vertex_index") if element.name == "face" else -1
+        if element.name == "face" and wanted < 0:
+            raise MeshError(path, "its faces have no vertex_indices", EXPORT_AGAIN)
+        columns, lists, start = read(path, numbers, start, element, wanted, layout == "binary_big_endian")
+        if element.name == "vertex":
+            axes = [element.find(axis) for axis in "xyz"]
+            if min(axes) < 0:
+                raise MeshError(path, "its vertices have no x, y, z", EXPORT_AGAIN)
+            vertices = np.stack([columns[axis] for axis in axes], axis=1).astype(np.float64)
+        elif element.name == "face" and lists is not None:
+            corners, counts = lists
+    return Records(vertices, corners, counts)
+
+
+def _ply_header(path: Path, data: bytes) -> tuple[str, list[_Element], int]:
+    """(layout, elements in order, where the body starts)."""
+    if not data.startswith(b"ply"):
+        raise MeshError(path, "it does not begin with ply", "Check that the ending .ply is right")
+    end = data.find(b"end_header")
+    if end < 0:
+        raise MeshError(path, "its header has no end", CUT_SHORT)
+    start = end + len(b"end_header")
+    # the one line end after the header; a carriage return alone only where the header itself uses it
+    start += 2 if data[start : start + 2] == b"\r\n" else 1
+    layout, elements = "", []
+    for line in data[:end].decode("latin-1").splitlines()[1:]:
+        words = line.split()
+        try:
+            if not words or words[0] in ("comment", "obj_info"):
+                continue
+            if words[0] == "format":
+                layout = words[1]
+            elif words[0] == "element":
+                elements.append(_Element(words[1], _count(path, float(words[2])), ()))
+            elif words[0] == "property":
+                if words[1] == "list":
+                    new = _Property(words[4], PLY_TYPES[words[3]], PLY_TYPES[words[2]])
+                else:
+                    new = _Property(words[2], PLY_TYPES[words[1]], None)
+                last = elements[-1]
+                elements[-1] = _Element(last.name, last.rows, (*last.properties, new))
+        except (IndexError, KeyError, ValueError) as error:
+            if isinstance(error, MeshError):
+                raise
+            raise MeshError(path, f"its header has the line {line.strip()[:60]!r}", EXPORT_AGAIN) from None
+    if layout not in ("ascii", "binary_little_endian", "binary_big_endian"):
+        raise MeshError(path, f"its header names the unknown format {layout!r}", EXPORT_AGAIN)
+    return layout, elements, start
+
+
+def _too_short(path: Path, element: _Element) -> MeshError:
+    return MeshError(path, f"it announces {element.rows} rows of {element.name}, but has fewer", CUT_SHORT)
+
+
+def _ascii_element(path: Path, values: np.ndarray, start: int, element: _Element, wanted: int, _: bool):
+    """(columns, (corners, counts) of the wanted list, start of the next element)."""
+    is_list = np.array([p.count is not None for p in element.properties], bool)
+    width = len(is_list)
+    if element.rows == 0 or width == 0:
+        return [np.empty(0)] * width, None, start
+    if not is_list.any():
+        end = start + element.rows * width
+        if end > len(values):
+            raise _too_short(path, element)
+        return list(values[start:end].reshape(element.rows, width).T), None, end
+    begins, counts, end = kernels.walk_lists(values, start, element.rows, is_list, wanted)
+    if end < 0:
+        raise _too_short(path, element)
+    columns = _columns_beside_lists(path, element)
+    return columns, (values[_runs(begins, counts)].astype(np.int64), counts), end
+
+
+def _binary_element(path: Path, data: np.ndarray, start: int, element: _Element, wanted: int, big: bool):
+    """As ``_ascii_element`` for bytes."""
+    order = ">" if big else "<"
+    properties = element.properties
+    if element.rows == 0 or not properties:
+        return [np.empty(0)] * len(properties), None, start
+    if all(p.count is None for p in properties):
+        row = np.dtype([(str(i), order + p.value) for i, p in enumerate(properties)])
+        end = start + element.rows * row.itemsize
+        if end > len(data):
+            raise _too_short(path, element)
+        table = data[start:end].view(row)
+        return [table[str(i)] for i in range(len(properties))], None, end
+    if any(p.count is not None and p.count[0] == "f" for p in properties):
+        raise MeshError(path, "a list whose length is not an integer", EXPORT_AGAIN)
+    count_size = np.array([int(p.count[1]) if p.count else 0 for p in properties])
+    value_size = np.array([int(p.value[1]) for p in properties])
+    begins, counts, end = kernels.walk_lists_binary(data, start, element.rows, count_size, value_size, big, wanted)
+    if end < 0:
+        raise _too_short(path, element)
+    columns = _columns_beside_lists(path, element)
+    if wanted < 0:
+        return columns, None, end
+    size = int(value_size[wanted])
+    at = _runs(begins, counts * size)
+    corners = data[at].view(order + properties[wanted].value).astype(np.int64)
+    return columns, (corners, counts), end
+
+
+def _columns_beside_lists(path: Path, element: _Element) -> list[np.ndarray]:
+    if element.name == "vertex":
+        raise MeshError(path, "its vertices have list properties", "Save it without lists at the vertices")
+    return []
