@@ -1,19 +1,27 @@
-"""Part templates: the points that the whole family is explained with."""
+"""Part templates: the points that the whole family is explained with (Y in §4)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from shapeforge.collection.shape import Shape
+
+NEIGHBOURS = 20
 
 
 @dataclass(frozen=True, eq=False)
 class PartTemplates:
     """The K template points of all parts together (Y in the paper).
 
-    ``label`` is the part of each point, ``component`` the symmetric copy it belongs to (left or right leg; counted
-    within its part), ``neighbours`` indices within the same part (symmetric pairs, -1 padded).
+    ``label`` is the part of each point, ``component`` the separate piece it belongs to (left or right leg; counted
+    within its part), ``neighbours`` indices within the same part, -1 padded; as pairs they are symmetric once made
+    into ``neighbour_graph``.
     """
 
     points: Float[np.ndarray, "K 3"]
@@ -34,3 +42,82 @@ class PartTemplates:
     def n_parts(self) -> int:
         """Number of part labels L."""
         return len(self.part_names)
+
+    def has_part(self) -> np.ndarray:
+        """(L,) bool: which parts own template points here."""
+        return np.bincount(self.label, minlength=self.n_parts) > 0
+
+    def moved(self, points: Float[np.ndarray, "K 3"]) -> PartTemplates:
+        """The same templates at other positions."""
+        return replace(self, points=points)
+
+
+def template_from_points(
+    points: Float[np.ndarray, "K 3"],
+    normals: Float[np.ndarray, "K 3"],
+    descriptors: Float[np.ndarray, "K 10"],
+    label: Int[np.ndarray, " K"],
+    part_names: tuple[str, ...],
+    source: str = "",
+) -> PartTemplates:
+    """Templates from labelled points: neighbourhoods inside one part only (across parts they tear the borders).
+
+    Points with label -1 are left out.  Raises ``ValueError`` when no point has a label.
+    """
+    keep = np.flatnonzero((label >= 0) & (label < len(part_names)))
+    if not len(keep):
+        raise ValueError(
+            f"label: wanted at least one labelled point for the templates of {source or 'the exemplar'}, got none; "
+            "paint the exemplar, or propose parts with `shapeforge cosegment`"
+        )
+    keep = keep[np.argsort(label[keep], kind="stable")]
+    points, normals, descriptors, label = points[keep], normals[keep], descriptors[keep], label[keep]
+    neighbours = np.full((len(points), NEIGHBOURS), -1, np.int32)
+    component = np.zeros(len(points), np.int32)
+    for part in range(len(part_names)):
+        rows = np.flatnonzero(label == part)
+        if len(rows) < 2:
+            continue
+        k = min(NEIGHBOURS, len(rows) - 1)
+        near = cKDTree(points[rows]).query(points[rows], k=k + 1)[1][:, 1:]
+        neighbours[rows[:, None], np.arange(k)] = rows[near]
+        component[rows] = _pieces(near[:, :6])
+    return PartTemplates(
+        np.ascontiguousarray(points, np.float64), np.ascontiguousarray(normals, np.float64), label.astype(np.int32),
+        component, neighbours, np.ascontiguousarray(descriptors, np.float64), part_names, source,
+    )  # fmt: skip
+
+
+def _pieces(near: np.ndarray) -> np.ndarray:
+    """Connected pieces (n,) of a one-sided nearest-neighbour table (n, k)."""
+    n, k = near.shape
+    graph = coo_matrix((np.ones(near.size), (np.repeat(np.arange(n), k), near.ravel())), shape=(n, n))
+    return connected_components(graph.tocsr(), directed=False)[1].astype(np.int32)
+
+
+def template_from_exemplar(
+    shape: Shape, faces: Int[np.ndarray, " F"], part_names: tuple[str, ...]
+) -> PartTemplates:
+    """Templates from the painted exemplar: its labelled surface points (Algorithm 1, line 1)."""
+    if len(faces) != shape.mesh.n_faces:
+        raise ValueError(
+            f"faces: wanted {shape.mesh.n_faces} labels for {shape.name}, got {len(faces)}; "
+            "the labels belong to another version of the mesh"
+        )
+    return template_from_points(
+        shape.points, shape.normals, shape.descriptors, np.asarray(faces)[shape.face_of_point], part_names, shape.name
+    )
+
+
+def pair_graph(neighbours: Int[np.ndarray, "N n"]) -> tuple[np.ndarray, np.ndarray]:
+    """Symmetric CSR (offsets (N+1,), index (M,)) of one-sided neighbour lists, each pair once in each direction.
+
+    One-sided lists make the sums of φ2 and φ5 count some pairs once and others twice, and then the coordinate updates
+    no longer descend on the energy they claim to descend on.
+    """
+    n = len(neighbours)
+    rows, columns = np.nonzero(neighbours >= 0)
+    graph = coo_matrix((np.ones(len(rows), np.int8), (rows, neighbours[rows, columns])), shape=(n, n)).tocsr()
+    both = ((graph + graph.T) > 0).tocsr()
+    both.sort_indices()
+    return both.indptr.astype(np.int64), both.indices.astype(np.int32)

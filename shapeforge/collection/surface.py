@@ -1,0 +1,30 @@
+"""Closest points on a mesh: exact, and without any assumption on its topology."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from shapeforge.collection import _kernels_surface
+from shapeforge.collection.shape import Mesh
+
+
+def closest_points(
+    mesh: Mesh, queries: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Closest surface point (n, 3), its triangle (n,) and its distance (n,) of every query, in the mesh's units.
+
+    Raises ValueError for a mesh without triangles or queries that are not finite.
+    """
+    if not len(mesh.triangles):
+        raise ValueError("mesh: wanted at least one triangle, got none; usually a mesh of lines or points only")
+    queries = np.ascontiguousarray(queries, np.float64)
+    if not np.isfinite(queries).all():
+        raise ValueError("queries: wanted finite positions, got NaN or infinity; leave absent points out")
+    vertices = np.ascontiguousarray(mesh.vertices, np.float64)
+    triangles = np.ascontiguousarray(mesh.triangles, np.int64)
+    corners = vertices[triangles]
+    tree = _kernels_surface.build_tree(corners.min(axis=1), corners.max(axis=1), corners.mean(axis=1))
+    positions, triangle = np.empty_like(queries), np.empty(len(queries), np.int64)
+    distance = _kernels_surface.closest_points(vertices, triangles, *tree, queries, positions, triangle)
+    return positions, triangle, distance

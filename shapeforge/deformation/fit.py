@@ -1,0 +1,355 @@
+"""Algorithm 1: learn part templates, and fit them to every shape of the family.
+
+``fit_templates`` is an iterator of states; whoever iterates prints, plots, saves, pauses and stops.  Shapes are worked
+on one by one by a pure function, so any executor with the ``concurrent.futures`` interface may run them; sums are taken
+in the order of the shapes, so the result does not depend on the number of workers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from shapeforge.collection.align import affine_align, thinned
+from shapeforge.collection.groups import Groups
+from shapeforge.collection.shape import Shape, Shapes
+from shapeforge.deformation.beliefs import Beliefs
+from shapeforge.deformation.energy import free_energy
+from shapeforge.deformation.existence import switch_off_missing
+from shapeforge.deformation.factors import FLOORS, Covariances, floored, initial_covariances
+from shapeforge.deformation.templates import PartTemplates, pair_graph, template_from_exemplar
+from shapeforge.deformation.updates import (
+    GaussianOnDeformation,
+    Problem,
+    Summary,
+    find_candidates,
+    make_problem,
+    summarize,
+    update_correspondences,
+    update_deformations,
+    update_maps,
+    update_segmentation,
+    update_templates,
+)
+
+ANNEALING = 0.87
+"""σ1 shrinks by this factor a round below its first estimate: by maximum likelihood it stays wide and labels blur."""
+
+SETTLED = 5e-4
+"""Mean movement of the deformed points (diagonals) in a round below which the fit stops, once σ1 is sharp."""
+
+EXEMPLARS_PER_SHAPE = 3
+"""Exemplars tried on every shape: its own group's and the next best by affine residual."""
+
+GAP_TEMPERATURE = 0.15
+"""How fast an exemplar's weight falls with the gap (relative to the best) that its deformed template leaves."""
+
+
+class FitDiverged(RuntimeError):
+    """Numbers stopped being finite; ``state`` is the last good one."""
+
+    def __init__(self, message: str, state: FitState) -> None:
+        super().__init__(message)
+        self.state = state
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One exemplar's templates on one shape: the beliefs, and the weight this explanation has among the shape's."""
+
+    beliefs: Beliefs
+    weight: float
+    gap: float
+
+
+@dataclass(frozen=True, eq=False)
+class FitState:
+    """Progress report and result of a fit.  Lengths in diagonals, energy in nats per surface point.
+
+    ``candidates[t]`` holds each exemplar tried on shape t, ``beliefs[t]`` what follows from them.
+    """
+
+    round: int
+    of: int
+    phase: str
+    energy: float
+    change: float
+    covariances: Covariances
+    annealed_from: float
+    sigma_by_part: Float[np.ndarray, " L"]
+    templates: tuple[PartTemplates, ...]
+    candidates: tuple[tuple[Candidate, ...], ...]
+    stop_reason: str | None = None
+
+    @property
+    def beliefs(self) -> tuple[Beliefs, ...]:
+        """One ``Beliefs`` per shape: the best exemplar's, with the label probabilities of all of them blended."""
+        return tuple(blend(candidates) for candidates in self.candidates)
+
+    @property
+    def sigmas(self) -> dict[str, np.ndarray]:
+        """Standard deviations of the factors, for curves."""
+        return self.covariances.sigmas()
+
+
+def blend(candidates: Sequence[Candidate]) -> Beliefs:
+    """The best candidate's beliefs, with segmentations averaged by weight over all candidates of the shape."""
+    best = max(candidates, key=lambda candidate: candidate.weight)
+    total = sum(candidate.weight for candidate in candidates)
+    mixed = sum(candidate.weight * candidate.beliefs.segmentation for candidate in candidates) / total
+    return replace(best.beliefs, segmentation=mixed)
+
+
+def fit_templates(
+    shapes: Shapes | Sequence[Shape],
+    groups: Groups,
+    labels: Mapping[int, np.ndarray],
+    part_names: tuple[str, ...],
+    *,
+    rng: np.random.Generator,
+    rounds: int = 10,
+    inner: int = 3,
+    exemplars_per_shape: int = EXEMPLARS_PER_SHAPE,
+    executor: Executor | None = None,
+    prior: GaussianOnDeformation | None = None,
+    seeds: Sequence[np.ndarray] | None = None,
+    resume: FitState | None = None,
+) -> Iterator[FitState]:
+    """Learn part templates from painted exemplars and fit them to every shape (§4, Algorithm 1).
+
+    ``labels[t]`` are part indices per face record (-1: unpainted) of shape t; every group's exemplar needs some, unless
+    ``seeds`` gives label probabilities (P, L) of every shape (automatic start).  ``prior(t, g)`` is a Gaussian on D.
+    ``resume`` goes on from a state that an earlier call yielded.  Yields the affine start and then one state a round.
+
+    Raises ValueError when no exemplar has labels, FitDiverged (with the last good state) on non-finite numbers.
+    """
+    del rng  # the fit itself is deterministic; the argument is part of every algorithm's face
+    run = executor.map if executor is not None else map
+    if resume is None:
+        templates = tuple(_exemplar_templates(shapes, groups, labels, part_names, seeds))
+        owners = _template_of_group(groups, templates, shapes)
+        starts = list(
+            run(
+                _start, _each(shapes), [labels.get(t) for t in range(len(shapes))], _repeat(templates, len(shapes)),
+                [owners[g] if g >= 0 else 0 for g in groups.group], _repeat(exemplars_per_shape, len(shapes)),
+                seeds if seeds is not None else _repeat(None, len(shapes)),
+            )
+        )  # fmt: skip
+        state = FitState(
+            0, rounds, "affine start", float("nan"), float("nan"), initial_covariances(), float("nan"),
+            np.full(len(part_names), np.nan), templates, tuple(starts),
+        )  # fmt: skip
+        yield state
+    else:
+        state = replace(resume, of=rounds, stop_reason=None)
+    while state.round < rounds:
+        state = _one_round(state, shapes, groups, labels, rounds, inner, run, prior)
+        yield state
+        if state.stop_reason is not None:
+            return
+
+
+def _one_round(state, shapes, groups, labels, rounds, inner, run, prior) -> FitState:
+    """One outer round of Algorithm 1: every shape, then Σ, then Y."""
+    templates = state.templates
+    owners = _template_of_group(groups, templates, shapes)
+    number = len(shapes)
+    priors = [
+        {c.beliefs.template: prior(t, c.beliefs.template) for c in state.candidates[t]} if prior is not None else None
+        for t in range(number)
+    ]
+    results = list(
+        run(
+            _work_on_shape, _each(shapes), [labels.get(t) for t in range(number)], _repeat(templates, number),
+            state.candidates, _repeat(state.covariances, number), _repeat(inner, number), priors,
+        )
+    )  # fmt: skip
+    candidates = tuple(result[0] for result in results)
+    moved = float(np.mean([result[2] for result in results]))
+    # a template is learnt from the shapes of its own group; Σ from every shape's best explanation
+    learnt = list(templates)
+    best_sums = []
+    for g in range(len(templates)):
+        own = [
+            summary
+            for t, result in enumerate(results)
+            for candidate, summary in zip(result[0], result[1], strict=True)
+            if candidate.beliefs.template == g and groups.group[t] >= 0 and owners[groups.group[t]] == g
+        ]
+        if len(own) > 1:
+            learnt[g] = update_templates(templates[g], reduce(add, own))
+    for result in results:
+        best = max(range(len(result[0])), key=lambda i: result[0][i].weight)
+        best_sums.append(replace(result[1][best], template_moment=np.zeros((1, 3))))
+    total = reduce(add, best_sums)
+    covariances, first = _update_covariances(total, state)
+    energy = total.energy / total.points
+    if not np.isfinite([energy, moved]).all():
+        raise FitDiverged("the fit produced numbers that are not finite; a shape with broken descriptors?", state)
+    number_round = state.round + 1
+    sharp = np.sqrt(covariances.unary.mean()) <= 1.5 * FLOORS["unary"]
+    reason = None
+    if number_round >= rounds:
+        reason = "the planned number of rounds is done"
+    elif sharp and moved < SETTLED:
+        reason = "the deformed templates have come to rest"
+    sigma_by_part = np.sqrt(total.by_part[:, 1] / np.maximum(total.by_part[:, 0], 1e-9) / 3)
+    return FitState(
+        number_round, rounds, "fit", energy, moved, covariances, first, sigma_by_part, tuple(learnt), candidates, reason
+    )
+
+
+def _update_covariances(total: Summary, state: FitState) -> tuple[Covariances, float]:
+    """Piecewise maximum likelihood with floors; σ1 is annealed below its first estimate (a departure, by name)."""
+    likely = total.unary / max(total.weight, 1e-9)
+    spread = float(np.sqrt(likely.mean()))
+    first = spread if np.isnan(state.annealed_from) else state.annealed_from
+    wanted = max(FLOORS["unary"], first * ANNEALING ** (state.round + 1))
+    unary = likely * min(1.0, (wanted / spread) ** 2) if spread > 0 else likely
+    return Covariances(
+        floored("unary", unary),
+        floored("smooth", total.smooth / max(total.pairs, 1)),
+        floored("descriptor", total.descriptor / max(total.weight, 1e-9)),
+        floored("segment", total.segment / max(total.segment_pairs, 1)),
+    ), first
+
+
+def _work_on_shape(
+    shape: Shape, faces, templates, candidates, covariances, inner, priors
+) -> tuple[tuple[Candidate, ...], tuple[Summary, ...], float]:
+    """One outer round on one shape: all its candidates, then their weights. A pure function of its arguments."""
+    problem = make_problem(shape, faces)
+    done, sums, moves = [], [], []
+    for candidate in candidates:
+        g = candidate.beliefs.template
+        prior = priors.get(g) if priors is not None else None
+        beliefs, summary = fit_shape(problem, templates[g], candidate.beliefs, covariances, inner=inner, prior=prior)
+        moves.append(float(np.linalg.norm(beliefs.deformed - candidate.beliefs.deformed, axis=1).mean()))
+        done.append(beliefs)
+        sums.append(summary)
+    weighed = weigh(problem, templates, done)
+    best = max(range(len(weighed)), key=lambda i: weighed[i].weight)
+    return weighed, tuple(sums), moves[best]
+
+
+def fit_shape(
+    problem: Problem,
+    templates: PartTemplates,
+    beliefs: Beliefs,
+    covariances: Covariances,
+    *,
+    inner: int = 3,
+    prior: tuple[np.ndarray, np.ndarray] | None = None,
+) -> tuple[Beliefs, Summary]:
+    """One outer round of one template set on one shape: q, s, D ``inner`` times, then existence and the part maps."""
+    graph = pair_graph(templates.neighbours)
+    candidates = find_candidates(
+        problem, templates, beliefs.deformed, beliefs.active[templates.label], covariances.descriptor
+    )
+    for _ in range(inner):
+        correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
+        beliefs = update_segmentation(problem, correspondence, beliefs, covariances.segment)
+        beliefs = update_deformations(templates, graph, correspondence, beliefs, covariances, prior)
+    energy = free_energy(problem, templates, graph, candidates, correspondence, beliefs, covariances)
+    summary = summarize(problem, templates, graph, candidates, correspondence, beliefs, energy)
+    beliefs = switch_off_missing(problem, templates, candidates, beliefs, covariances.unary)
+    return update_maps(templates, correspondence, beliefs), summary
+
+
+def weigh(problem: Problem, templates: Sequence[PartTemplates], beliefs: Sequence[Beliefs]) -> tuple[Candidate, ...]:
+    """Weight each exemplar's explanation by the symmetric gap between its deformed template and the surface."""
+    points = thinned(problem.points, 1500)
+    gaps = []
+    for belief in beliefs:
+        alive = thinned(belief.deformed[belief.active[templates[belief.template].label]], 1500)
+        there = cKDTree(alive).query(points)[0].mean()
+        back = cKDTree(points).query(alive)[0].mean()
+        gaps.append(float(there + back))
+    least = max(min(gaps), 1e-6)
+    weights = [float(np.exp(-(gap - least) / (GAP_TEMPERATURE * least))) for gap in gaps]
+    return tuple(Candidate(b, w, g) for b, w, g in zip(beliefs, weights, gaps, strict=True))
+
+
+def affine_beliefs(
+    shape: Shape, problem: Problem, templates: PartTemplates, index: int, alignment, seed: np.ndarray | None = None
+) -> Beliefs:
+    """The affine start: template under the exemplar's affine map, s uniform over the template's parts (or seeded)."""
+    has = templates.has_part()
+    n_parts = templates.n_parts
+    deformed = alignment(templates.points)
+    segmentation = np.tile(has / has.sum(), (shape.n_points, 1))
+    if seed is not None:
+        segmentation = np.where(has, np.asarray(seed, np.float64) + 1e-6, 0.0)
+        segmentation /= segmentation.sum(axis=1, keepdims=True)
+    painted = problem.evidence >= 0
+    segmentation[painted] = np.eye(n_parts)[problem.evidence[painted]]
+    return Beliefs(
+        template=index,
+        deformed=deformed,
+        variance=np.full_like(deformed, 1e-4),
+        maps=np.tile(alignment.matrix, (n_parts, 1, 1)),
+        offsets=np.tile(alignment.offset, (n_parts, 1)),
+        segmentation=segmentation,
+        active=has,
+        evidence=problem.evidence,
+        misfit=np.full(n_parts, np.nan),
+    )
+
+
+def _start(shape, faces, templates, own, how_many, seed) -> tuple[Candidate, ...]:
+    """Affine starts of a shape: its own group's exemplar first, then the best of the others."""
+    problem = make_problem(shape, faces)
+    alignments = [affine_align(template.points, shape.points) for template in templates]
+    order = sorted(range(len(templates)), key=lambda g: (g != own, alignments[g].residual))[:how_many]
+    beliefs = [affine_beliefs(shape, problem, templates[g], g, alignments[g], seed) for g in order]
+    return weigh(problem, templates, beliefs)
+
+
+def _exemplar_templates(shapes, groups, labels, part_names, seeds) -> Iterator[PartTemplates]:
+    """One template set per exemplar that has labels; the others' groups are explained by these."""
+    found = False
+    for t in groups.exemplars:
+        shape = shapes[int(t)]
+        faces = labels.get(int(t))
+        if faces is not None and (np.asarray(faces) >= 0).any():
+            found = True
+            yield template_from_exemplar(shape, faces, part_names)
+        elif seeds is not None:
+            found = True
+            yield _seeded_template(shape, seeds[int(t)], part_names)
+    if not found:
+        names = ", ".join(shapes[int(t)].name for t in groups.exemplars)
+        raise ValueError(
+            f"labels: wanted painted faces on at least one exemplar ({names}), got none; paint one, or start from "
+            "proposed parts (`shapeforge cosegment`)"
+        )
+
+
+def _seeded_template(shape: Shape, seed: np.ndarray, part_names: tuple[str, ...]) -> PartTemplates:
+    from shapeforge.deformation.templates import template_from_points
+
+    return template_from_points(
+        shape.points, shape.normals, shape.descriptors, np.argmax(seed, axis=1).astype(np.int32), part_names, shape.name
+    )
+
+
+def _template_of_group(groups: Groups, templates: tuple[PartTemplates, ...], shapes) -> list[int]:
+    """Index into ``templates`` of every group's own exemplar; -1 where that exemplar was not painted."""
+    by_source = {template.source: i for i, template in enumerate(templates)}
+    names = shapes.names if hasattr(shapes, "names") else [shape.name for shape in shapes]
+    return [by_source.get(names[int(t)], -1) for t in groups.exemplars]
+
+
+def _each(shapes) -> Iterator[Shape]:
+    return (shapes[t] for t in range(len(shapes)))
+
+
+def _repeat(value, times: int) -> list:
+    return [value] * times

@@ -1,0 +1,257 @@
+"""The mean-field updates of one shape (supplement 1), each a public step; and what a shape adds to the shared sums."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from shapeforge.collection.shape import Shape
+from shapeforge.deformation import _kernels
+from shapeforge.deformation.beliefs import Beliefs
+from shapeforge.deformation.factors import DESCRIPTOR_WEIGHT, LOG_EPSILON, Covariances, attraction
+from shapeforge.deformation.templates import PartTemplates, pair_graph
+
+POINT_CANDIDATES = 15
+TEMPLATE_CANDIDATES = 40
+MAP_RIDGE = 0.05
+SMOOTHING_SWEEPS = 10
+
+
+class GaussianOnDeformation(Protocol):
+    """A prior on D of a shape: ``prior(shape index, template index) -> (mean (K,3), precision (K,3)) or None``."""
+
+    def __call__(self, shape: int, template: int) -> tuple[np.ndarray, np.ndarray] | None: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """One shape as the updates see it: contiguous arrays, the symmetric neighbourhood graph, painted evidence."""
+
+    points: Float[np.ndarray, "P 3"]
+    descriptors: Float[np.ndarray, "P d"]
+    offsets: Int[np.ndarray, " P1"]
+    neighbour: Int[np.ndarray, " M"]
+    evidence: Int[np.ndarray, " P"]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """The sparse pairs (p, k) that carry probability, in CSR over points, with φ3's cost of each pair."""
+
+    offsets: Int[np.ndarray, " P1"]
+    template_index: Int[np.ndarray, " M"]
+    costs: Float[np.ndarray, " M"]
+
+
+@dataclass(frozen=True, eq=False)
+class Correspondence:
+    """q[p,k] over candidates, and its sums: part share (P,L), mass (K,) and first moment (K,3) of template points."""
+
+    q: Float[np.ndarray, " M"]
+    part_share: Float[np.ndarray, "P L"]
+    mass: Float[np.ndarray, " K"]
+    first_moment: Float[np.ndarray, "K 3"]
+
+
+def make_problem(shape: Shape, faces: np.ndarray | None = None) -> Problem:
+    """Arrays of a shape for the updates; ``faces`` are painted part labels per face record (-1: not painted)."""
+    offsets, neighbour = pair_graph(shape.neighbours)
+    evidence = np.full(shape.n_points, -1, np.int32)
+    if faces is not None:
+        evidence = np.asarray(faces)[shape.face_of_point].astype(np.int32)
+    return Problem(
+        np.ascontiguousarray(shape.points, np.float64), np.ascontiguousarray(shape.descriptors, np.float64), offsets,
+        neighbour, evidence,
+    )  # fmt: skip
+
+
+def find_candidates(
+    problem: Problem, templates: PartTemplates, deformed: Float[np.ndarray, "K 3"], alive: Bool[np.ndarray, " K"],
+    descriptor: Float[np.ndarray, " d"],
+) -> Candidates:  # fmt: skip
+    """Sparsity of q (supplement): each template point keeps its nearest samples, each sample its nearest template points.
+
+    Only template points of active parts (``alive``) take part.
+    """
+    rows = np.flatnonzero(alive).astype(np.int32)
+    a = min(POINT_CANDIDATES, len(rows))
+    b = min(TEMPLATE_CANDIDATES, len(problem.points))
+    by_point = cKDTree(deformed[rows]).query(problem.points, k=a)[1].reshape(-1, a)
+    by_template = np.full((len(deformed), b), -1, np.int32)
+    by_template[rows] = cKDTree(problem.points).query(deformed[rows], k=b)[1].reshape(-1, b)
+    offsets, index = _kernels.merge_candidates(rows[by_point].astype(np.int32), by_template, len(problem.points))
+    costs = np.empty(len(index))
+    _kernels.descriptor_costs(
+        offsets, index, problem.descriptors, templates.descriptors, DESCRIPTOR_WEIGHT / descriptor, costs
+    )
+    return Candidates(offsets, index, costs)
+
+
+def update_correspondences(
+    problem: Problem, templates: PartTemplates, candidates: Candidates, beliefs: Beliefs, unary: Float[np.ndarray, " 3"]
+) -> Correspondence:
+    """q[p,k] (supplement, correspondence update): softmax over the candidates of every sample."""
+    precision = 1.0 / unary
+    n_points, n_template = len(problem.points), templates.n_points
+    q = np.empty(len(candidates.template_index))
+    share = np.empty((n_points, templates.n_parts))
+    mass, moment = np.empty(n_template), np.empty((n_template, 3))
+    _kernels.correspond(
+        candidates.offsets, candidates.template_index, candidates.costs, problem.points, beliefs.deformed,
+        0.5 * beliefs.variance @ precision, precision, templates.label, beliefs.segmentation, LOG_EPSILON,
+        np.ones(n_points), q, share, mass, moment,
+    )  # fmt: skip
+    return Correspondence(q, share, mass, moment)
+
+
+def update_segmentation(
+    problem: Problem, correspondence: Correspondence, beliefs: Beliefs, segment: Float[np.ndarray, " d"], sweeps: int = 2
+) -> Beliefs:
+    """s[p,l] (supplement, segmentation update), Gauss-Seidel over the symmetric neighbour pairs; painted points stay."""
+    segmentation = beliefs.segmentation.copy()
+    _kernels.segment(
+        correspondence.part_share, problem.offsets, problem.neighbour,
+        attraction(problem.descriptors, problem.offsets, problem.neighbour, segment), LOG_EPSILON, beliefs.active,
+        problem.evidence, sweeps, segmentation,
+    )  # fmt: skip
+    return replace(beliefs, segmentation=segmentation)
+
+
+def mapped_template(templates: PartTemplates, beliefs: Beliefs) -> Float[np.ndarray, "K 3"]:
+    """Template points under the shape's linear map of their part, A[part]·Y (offsets cancel in φ2)."""
+    return np.einsum("kij,kj->ki", beliefs.maps[templates.label], templates.points)
+
+
+def update_deformations(
+    templates: PartTemplates,
+    graph: tuple[np.ndarray, np.ndarray],
+    correspondence: Correspondence,
+    beliefs: Beliefs,
+    covariances: Covariances,
+    prior: tuple[np.ndarray, np.ndarray] | None = None,
+    sweeps: int = SMOOTHING_SWEEPS,
+) -> Beliefs:
+    """⟨D⟩ and its variance (supplement, deformation update), with φ2 taken under the shape's own part maps.
+
+    ``prior`` is a Gaussian (mean (K,3), precision (K,3)) multiplied onto D (joint analysis and synthesis, §5).
+    """
+    offsets, neighbour = graph
+    unary, smooth = 1.0 / covariances.unary, 1.0 / covariances.smooth
+    mass, moment = correspondence.mass, correspondence.first_moment
+    deformed = beliefs.deformed.copy()
+    degree = np.diff(offsets)
+    if prior is None:
+        precision = mass[:, None] * unary + degree[:, None] * smooth
+        _kernels.deform(
+            mass, moment, mapped_template(templates, beliefs), offsets, neighbour, unary, smooth, sweeps, deformed
+        )
+    else:
+        # a Gaussian prior is one more observation of each template point, axis by axis
+        mean, strength = prior
+        precision = mass[:, None] * unary + degree[:, None] * smooth + strength
+        ones = np.ones(3)
+        for axis in range(3):
+            weight = mass * unary[axis] + strength[:, axis]
+            pull = np.zeros((len(mass), 3))
+            pull[:, axis] = moment[:, axis] * unary[axis] + strength[:, axis] * mean[:, axis]
+            column = deformed.copy()
+            _kernels.deform(
+                weight, pull, mapped_template(templates, beliefs), offsets, neighbour, ones, smooth, sweeps, column
+            )
+            deformed[:, axis] = column[:, axis]
+    variance = 1.0 / np.maximum(precision, 1e-12)
+    return replace(beliefs, deformed=deformed, variance=variance)
+
+
+def update_maps(templates: PartTemplates, correspondence: Correspondence, beliefs: Beliefs) -> Beliefs:
+    """One linear map per part by q-weighted least squares of the surface on the template, ridge towards the last one.
+
+    The paper has no such map: its φ2 compares with Y in the exemplar's own frame and so undoes the affine start.
+    """
+    maps, offsets = beliefs.maps.copy(), beliefs.offsets.copy()
+    target = correspondence.first_moment / np.maximum(correspondence.mass, 1e-12)[:, None]
+    for part in np.flatnonzero(beliefs.active):
+        rows = templates.label == part
+        weight = correspondence.mass[rows]
+        total = weight.sum()
+        if rows.sum() < 4 or total < 1.0:
+            continue
+        y, x = templates.points[rows], target[rows]
+        y_mean, x_mean = weight @ y / total, weight @ x / total
+        yc, xc = y - y_mean, x - x_mean
+        second = (yc * weight[:, None]).T @ yc
+        ridge = MAP_RIDGE * np.trace(second) / 3 * np.eye(3)
+        cross = (xc * weight[:, None]).T @ yc
+        maps[part] = (cross + maps[part] @ ridge) @ np.linalg.inv(second + ridge)
+        offsets[part] = x_mean - maps[part] @ y_mean
+    return replace(beliefs, maps=maps, offsets=offsets)
+
+
+@dataclass(frozen=True, eq=False)
+class Summary:
+    """Sufficient statistics of one shape for Σ1 to Σ5, for Y, and for the figures that are watched.  They add up."""
+
+    weight: float
+    unary: Float[np.ndarray, " 3"]
+    descriptor: Float[np.ndarray, " d"]
+    by_part: Float[np.ndarray, "L 2"]
+    pairs: int
+    smooth: Float[np.ndarray, " 3"]
+    segment_pairs: int
+    segment: Float[np.ndarray, " d"]
+    template_normal: Float[np.ndarray, "L 3 3"]
+    template_moment: Float[np.ndarray, "K 3"]
+    energy: float
+    points: int
+
+    def __add__(self, other: Summary) -> Summary:
+        return Summary(*(getattr(self, name) + getattr(other, name) for name in self.__dataclass_fields__))
+
+
+def summarize(
+    problem: Problem, templates: PartTemplates, graph: tuple[np.ndarray, np.ndarray], candidates: Candidates,
+    correspondence: Correspondence, beliefs: Beliefs, energy: float,
+) -> Summary:  # fmt: skip
+    """What this shape adds to the piecewise maximum-likelihood covariances and to the template update."""
+    alive = beliefs.active[templates.label]
+    weight, unary, descriptor, by_part = _kernels.residual_sums(
+        candidates.offsets, candidates.template_index, correspondence.q, problem.points, beliefs.deformed,
+        problem.descriptors, templates.descriptors, templates.label, templates.n_parts,
+    )  # fmt: skip
+    smooth, pairs = _kernels.smoothness_sums(*graph, beliefs.deformed, mapped_template(templates, beliefs), alive)
+    owner = np.repeat(np.arange(len(problem.points)), np.diff(problem.offsets))
+    difference = problem.descriptors[owner] - problem.descriptors[problem.neighbour]
+    normal = np.zeros((templates.n_parts, 3, 3))
+    moment = np.zeros((templates.n_points, 3))
+    for part in np.flatnonzero(beliefs.active):
+        rows = templates.label == part
+        if not rows.any():
+            continue
+        a = beliefs.maps[part]
+        centred = beliefs.deformed[rows] - beliefs.deformed[rows].mean(axis=0)
+        normal[part] = a.T @ a
+        moment[rows] = centred @ a
+    return Summary(
+        float(weight), unary, descriptor, by_part, int(pairs), smooth, len(owner), (difference**2).sum(axis=0), normal,
+        moment, float(energy), len(problem.points),
+    )  # fmt: skip
+
+
+def update_templates(templates: PartTemplates, summary: Summary) -> PartTemplates:
+    """Y = (Σ_t AᵀA)⁻¹ Σ_t AᵀD per part, centred on the part's old centre.
+
+    The printed update is a Jacobi step on a Laplacian and hardly moves; this is the minimiser of φ2 over Y up to each
+    part's free translation, when every template point weighs the same.
+    """
+    points = templates.points.copy()
+    for part in range(templates.n_parts):
+        rows = templates.label == part
+        normal = summary.template_normal[part]
+        if not rows.any() or np.linalg.cond(normal) > 1e6:
+            continue
+        points[rows] = summary.template_moment[rows] @ np.linalg.inv(normal).T + points[rows].mean(axis=0)
+    return templates.moved(points)
