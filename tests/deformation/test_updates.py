@@ -1,0 +1,191 @@
+"""The mean-field updates: equal to the oracles, and never up the free energy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests import oracles
+
+from shapeforge.deformation.beliefs import Beliefs
+from shapeforge.deformation.energy import free_energy
+from shapeforge.deformation.factors import DESCRIPTOR_WEIGHT, LOG_EPSILON, attraction, initial_covariances
+from shapeforge.deformation.templates import pair_graph, template_from_points
+from shapeforge.deformation.updates import (
+    Problem,
+    find_candidates,
+    mapped_template,
+    update_correspondences,
+    update_deformations,
+    update_maps,
+    update_segmentation,
+)
+
+N_PARTS = 3
+
+
+def toy(seed: int, n_points: int = 90, n_template: int = 60):
+    """A small random problem: three blobs of template points, a moved and noisy surface."""
+    rng = np.random.default_rng(seed)
+    label = np.sort(rng.integers(0, N_PARTS, n_template)).astype(np.int32)
+    template_points = rng.normal(scale=0.08, size=(n_template, 3)) + label[:, None] * 0.2
+    descriptors = rng.uniform(size=(n_template, 10))
+    templates = template_from_points(
+        template_points, rng.normal(size=(n_template, 3)), descriptors, label, ("a", "b", "c"), "toy"
+    )
+    pick = rng.integers(0, n_template, n_points)
+    points = templates.points[pick] * 1.1 + rng.normal(scale=0.02, size=(n_points, 3))
+    neighbours = rng.integers(-1, n_points, size=(n_points, 5)).astype(np.int32)
+    neighbours[neighbours == np.arange(n_points)[:, None]] = -1
+    offsets, index = pair_graph(neighbours)
+    evidence = np.full(n_points, -1, np.int32)
+    evidence[:4] = templates.label[pick[:4]]
+    problem = Problem(points, descriptors[pick] + rng.normal(scale=0.05, size=(n_points, 10)), offsets, index, evidence)
+    segmentation = rng.dirichlet(np.ones(N_PARTS), n_points)
+    segmentation[:4] = np.eye(N_PARTS)[evidence[:4]]
+    beliefs = Beliefs(
+        0, templates.points + rng.normal(scale=0.03, size=(n_template, 3)), rng.uniform(1e-5, 1e-4, (n_template, 3)),
+        np.tile(np.eye(3) * 1.05, (N_PARTS, 1, 1)), np.zeros((N_PARTS, 3)), segmentation, np.ones(N_PARTS, bool),
+        evidence, np.zeros(N_PARTS),
+    )  # fmt: skip
+    return problem, templates, beliefs, initial_covariances()
+
+
+def test_correspondences_equal_the_oracle():
+    problem, templates, beliefs, covariances = toy(0)
+    candidates = find_candidates(
+        problem, templates, beliefs.deformed, np.ones(templates.n_points, bool), covariances.descriptor
+    )
+    got = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
+    pairs = np.split(candidates.template_index, candidates.offsets[1:-1])
+    wanted = oracles.correspondences(
+        problem.points, problem.descriptors, beliefs.deformed, beliefs.variance, templates.descriptors, templates.label,
+        pairs, beliefs.segmentation, covariances.unary, DESCRIPTOR_WEIGHT / covariances.descriptor, LOG_EPSILON,
+    )  # fmt: skip
+    np.testing.assert_allclose(got.q, np.concatenate(wanted), atol=1e-10)
+    sums = np.add.reduceat(got.q, candidates.offsets[:-1])
+    np.testing.assert_allclose(sums, 1.0, atol=1e-12)
+    np.testing.assert_allclose(got.part_share.sum(axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(got.mass.sum(), len(problem.points), rtol=1e-12)
+
+
+def test_sparse_equals_dense_when_every_pair_is_kept(monkeypatch):
+    problem, templates, beliefs, covariances = toy(1)
+    monkeypatch.setattr("shapeforge.deformation.updates.POINT_CANDIDATES", templates.n_points)
+    candidates = find_candidates(
+        problem, templates, beliefs.deformed, np.ones(templates.n_points, bool), covariances.descriptor
+    )
+    assert len(candidates.template_index) == len(problem.points) * templates.n_points
+    assert (candidates.template_index[: templates.n_points] == np.arange(templates.n_points)).all()
+
+
+def test_candidates_leave_out_inactive_parts_and_hold_no_pair_twice():
+    problem, templates, beliefs, covariances = toy(2)
+    alive = templates.label != 1
+    candidates = find_candidates(problem, templates, beliefs.deformed, alive, covariances.descriptor)
+    assert alive[candidates.template_index].all()
+    for row in np.split(candidates.template_index, candidates.offsets[1:-1]):
+        assert (np.diff(row) > 0).all()
+
+
+def test_deformations_reach_the_solution_of_the_linear_system():
+    problem, templates, beliefs, covariances = toy(3)
+    graph = pair_graph(templates.neighbours)
+    candidates = find_candidates(
+        problem, templates, beliefs.deformed, np.ones(templates.n_points, bool), covariances.descriptor
+    )
+    correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
+    got = update_deformations(templates, graph, correspondence, beliefs, covariances, sweeps=4000)
+    owner = np.repeat(np.arange(templates.n_points), np.diff(graph[0]))
+    edges = [(a, b) for a, b in zip(owner, graph[1], strict=True) if a < b]
+    wanted = oracles.deformations_fixed_point(
+        correspondence.mass, correspondence.first_moment, mapped_template(templates, beliefs), edges,
+        covariances.unary, covariances.smooth,
+    )  # fmt: skip
+    np.testing.assert_allclose(got.deformed, wanted, atol=1e-9)
+
+
+def test_a_prior_pulls_every_point_to_its_mean_in_proportion_to_its_precision():
+    problem, templates, beliefs, covariances = toy(4)
+    graph = pair_graph(templates.neighbours)
+    candidates = find_candidates(
+        problem, templates, beliefs.deformed, np.ones(templates.n_points, bool), covariances.descriptor
+    )
+    correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
+    mean = templates.points + 0.3
+    free = update_deformations(templates, graph, correspondence, beliefs, covariances, sweeps=500)
+    none = update_deformations(
+        templates, graph, correspondence, beliefs, covariances, (mean, np.zeros_like(mean)), sweeps=500
+    )
+    strong = update_deformations(
+        templates, graph, correspondence, beliefs, covariances, (mean, np.full_like(mean, 1e9)), sweeps=500
+    )
+    np.testing.assert_allclose(none.deformed, free.deformed, atol=1e-9)
+    np.testing.assert_allclose(strong.deformed, mean, atol=1e-4)
+
+
+def test_segmentation_equals_the_oracle_point_by_point():
+    problem, templates, beliefs, covariances = toy(5)
+    candidates = find_candidates(
+        problem, templates, beliefs.deformed, np.ones(templates.n_points, bool), covariances.descriptor
+    )
+    correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
+    beliefs = replace(beliefs, active=np.array([True, True, False]))
+    start = np.where(beliefs.active, beliefs.segmentation + 1e-9, 0.0)
+    beliefs = replace(beliefs, segmentation=start / start.sum(axis=1, keepdims=True))
+    got = update_segmentation(problem, correspondence, beliefs, covariances.segment, sweeps=1).segmentation
+    pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)
+    neighbours = np.split(problem.neighbour, problem.offsets[1:-1])
+    pulls = np.split(pull, problem.offsets[1:-1])
+    wanted = beliefs.segmentation.copy()
+    for p in range(len(wanted)):
+        if problem.evidence[p] >= 0:
+            wanted[p] = np.eye(N_PARTS)[problem.evidence[p]]
+        else:
+            wanted[p] = oracles.segmentation_of_point(
+                p, correspondence.part_share, wanted, neighbours, pulls, LOG_EPSILON, beliefs.active
+            )
+    np.testing.assert_allclose(got, wanted, atol=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_exact_update_raises_the_free_energy(seed):
+    problem, templates, beliefs, covariances = toy(seed)
+    graph = pair_graph(templates.neighbours)
+    candidates = find_candidates(
+        problem, templates, beliefs.deformed, np.ones(templates.n_points, bool), covariances.descriptor
+    )
+    correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
+
+    def energy():
+        return free_energy(problem, templates, graph, candidates, correspondence, beliefs, covariances)
+
+    track = [energy()]
+    for _ in range(5):
+        correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
+        track.append(energy())
+        beliefs = update_segmentation(problem, correspondence, beliefs, covariances.segment)
+        track.append(energy())
+        beliefs = update_deformations(templates, graph, correspondence, beliefs, covariances)
+        track.append(energy())
+    steps = np.diff(track)
+    assert steps.max() <= 1e-9 * abs(track[0]), f"worst step {steps.argmax()}: {steps.max():.3g} nats"
+    assert track[-1] < track[0] - 1.0
+
+
+def test_part_maps_recover_an_affine_change_of_each_part():
+    problem, templates, beliefs, covariances = toy(7, n_points=600, n_template=240)
+    truth = np.array([[1.3, 0.1, 0.0], [0.0, 0.8, 0.0], [0.0, 0.05, 1.1]])
+    points = templates.points @ truth.T + 0.02
+    problem = replace(problem, points=points, descriptors=templates.descriptors, offsets=np.zeros(241, np.int64),
+                      neighbour=np.zeros(0, np.int32), evidence=np.full(240, -1, np.int32))  # fmt: skip
+    correspondence = update_correspondences(
+        problem, templates,
+        find_candidates(problem, templates, points, np.ones(240, bool), covariances.descriptor),
+        replace(beliefs, deformed=points, segmentation=np.full((240, N_PARTS), 1 / 3)), np.full(3, 1e-6),
+    )  # fmt: skip
+    for _ in range(30):  # the ridge leans on the previous map, so it takes a few rounds
+        beliefs = update_maps(templates, correspondence, beliefs)
+    for part in range(N_PARTS):
+        np.testing.assert_allclose(beliefs.maps[part], truth, atol=0.02)

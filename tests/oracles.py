@@ -1,0 +1,76 @@
+"""Each equation as literal nested loops: slow, obvious, and independent of the code under test."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+
+def correspondences(points, point_f, deformed, variance, template_f, label, pairs, s, sigma1, precision3, log_epsilon):
+    """q[p][k] over the given pairs, a list of k per p (supplement, correspondence update)."""
+    out = []
+    for p, ks in enumerate(pairs):
+        logits = []
+        for k in ks:
+            value = 0.0
+            for axis in range(3):
+                value -= 0.5 * (deformed[k][axis] - points[p][axis]) ** 2 / sigma1[axis]
+                value -= 0.5 * variance[k][axis] / sigma1[axis]
+            for d in range(len(precision3)):
+                value -= 0.5 * precision3[d] * (template_f[k][d] - point_f[p][d]) ** 2
+            value += log_epsilon * (1.0 - s[p][label[k]])
+            logits.append(value)
+        top = max(logits)
+        total = sum(math.exp(v - top) for v in logits)
+        out.append([math.exp(v - top) / total for v in logits])
+    return out
+
+
+def deformations_fixed_point(mass, moment, mapped, edges, unary, smooth):
+    """⟨D⟩ as the solution of the whole linear system (φ1 and φ2), edges are unordered pairs (k, k')."""
+    n = len(mass)
+    out = np.zeros((n, 3))
+    for axis in range(3):
+        matrix, right = np.zeros((n, n)), np.zeros(n)
+        for k in range(n):
+            matrix[k, k] += mass[k] / unary[axis]
+            right[k] += moment[k][axis] / unary[axis]
+        for a, b in edges:
+            wanted = mapped[a][axis] - mapped[b][axis]
+            matrix[a, a] += 1 / smooth[axis]
+            matrix[b, b] += 1 / smooth[axis]
+            matrix[a, b] -= 1 / smooth[axis]
+            matrix[b, a] -= 1 / smooth[axis]
+            right[a] += wanted / smooth[axis]
+            right[b] -= wanted / smooth[axis]
+        out[:, axis] = np.linalg.solve(matrix, right)
+    return out
+
+
+def segmentation_of_point(p, share, s, neighbours, attraction, log_epsilon, active):
+    """s[p] given everything else (supplement, segmentation update); inactive parts have probability zero."""
+    n_parts = len(share[p])
+    logits = [-math.inf] * n_parts
+    for part in range(n_parts):
+        if not active[part]:
+            continue
+        logits[part] = log_epsilon * (1.0 - share[p][part])
+        for other, pull in zip(neighbours[p], attraction[p], strict=True):
+            phi = 1.0 / (1.0 + math.exp(-pull))
+            logits[part] += s[other][part] * math.log(phi) + (1.0 - s[other][part]) * math.log(1.0 - phi)
+    top = max(logits)
+    total = sum(math.exp(v - top) for v in logits if v > -math.inf)
+    return [math.exp(v - top) / total if v > -math.inf else 0.0 for v in logits]
+
+
+def closest_point_on_triangle(p, a, b, c, steps=200):
+    """Closest point of a triangle by a fine barycentric grid: good to about an edge over ``steps``."""
+    best, found = math.inf, a
+    for i in range(steps + 1):
+        for j in range(steps + 1 - i):
+            point = a + (b - a) * (i / steps) + (c - a) * (j / steps)
+            distance = float(((p - point) ** 2).sum())
+            if distance < best:
+                best, found = distance, point
+    return found, math.sqrt(best)
