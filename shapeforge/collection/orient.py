@@ -21,7 +21,7 @@ TURNS: dict[str, np.ndarray] = {
 CHOICES = ("auto", "x", "y", "z", "keep")
 
 # Files are y up mostly, z up quite often, anything else hardly ever; a wrong turn is worse than none.
-_PRIOR = {"+y": 2.0, "+z": 1.5, "+x": 0.0, "-y": 0.0, "-z": 0.0, "-x": 0.0}
+_PRIOR = {"+y": 1.9, "+z": 1.5, "+x": 0.0, "-y": 0.0, "-z": 0.0, "-x": 0.0}
 _WEIGHT = {"stability": 0.6, "horizontal": 4.0, "upright": 2.0, "round": 8.0, "feet": 1.5}
 _N_SAMPLES = 1500
 

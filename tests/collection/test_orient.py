@@ -25,7 +25,7 @@ def boxes(*sizes_and_centres) -> Mesh:
 
 def chair() -> Mesh:
     legs = [((0.05, 0.45, 0.05), (x, 0.225, z)) for x in (-0.2, 0.2) for z in (-0.2, 0.2)]
-    return boxes(((0.45, 0.04, 0.45), (0, 0.47, 0)), ((0.45, 0.4, 0.04), (0, 0.7, -0.2)), *legs)
+    return boxes(((0.5, 0.04, 0.5), (0, 0.47, 0)), ((0.45, 0.3, 0.04), (0, 0.65, -0.2)), *legs)
 
 
 def table() -> Mesh:
