@@ -52,7 +52,7 @@ class _Studio:
         self, view: View, width: int, height: int, theme: Theme, ground: tuple[int, int, int] | None,
         camera: tuple[tuple[float, float, float], float] | None, shadow: float | None,
     ) -> np.ndarray:  # fmt: skip
-        from shapeforge.viewer.scene import VIEW_DIRECTION, frame_of, place_camera
+        from shapeforge.viewer.look import VIEW_DIRECTION, frame_of, place_camera
 
         self.plotter.ren_win.SetSize(width * OVERSAMPLING, height * OVERSAMPLING)
         scene = self.scene

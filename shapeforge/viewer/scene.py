@@ -1,7 +1,4 @@
-"""Puts a Display into a render window: only what changed is touched, and there is one render at the end.
-
-The look of every picture is set here once: camera, lights, shading, the shadow on the floor.
-"""
+"""Puts a Display into a render window: only what changed is touched, and there is one render at the end."""
 
 from __future__ import annotations
 
@@ -10,162 +7,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pyvista as pv
-from jaxtyping import Float, Int, UInt8
-from scipy.ndimage import gaussian_filter
+from jaxtyping import UInt8
 from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
 from vtkmodules.vtkCommonCore import VTK_ID_TYPE, vtkDataArray, vtkPoints, vtkUnsignedCharArray
-from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkImageData, vtkPolyData
-from vtkmodules.vtkFiltersCore import vtkPolyDataNormals
-from vtkmodules.vtkFiltersSources import vtkPlaneSource
-from vtkmodules.vtkRenderingCore import (
-    vtkActor,
-    vtkCamera,
-    vtkLight,
-    vtkPolyDataMapper,
-    vtkRenderer,
-    vtkTexture,
-)
+from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
+from vtkmodules.vtkRenderingCore import vtkActor, vtkCamera, vtkPolyDataMapper, vtkRenderer
 
 from shapeforge.viewer.display import Colour, Display, LineLayer, MeshLayer, PointLayer, View, record_borders
-
-VIEW_DIRECTION = (1.0, 0.6, 1.5)
-FEATURE_ANGLE = 32.0
-AMBIENT, DIFFUSE, SPECULAR = 0.36, 0.84, 0.1
-FLOOR_PIXELS = 128
-
-
-def surface(
-    vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"], angle: float = FEATURE_ANGLE
-) -> tuple[pv.PolyData, Int[np.ndarray, " W"]]:
-    """A polydata with normals split at creases of ``angle`` degrees, and the vertex (W,) each of its points came from.
-
-    Coincident vertices are welded for the normals only, so soups shade smoothly; triangle k stays cell k.
-    """
-    welded, first, index = _weld(vertices)
-    mesh = pv.PolyData.from_regular_faces(welded.astype(np.float32), index[triangles])
-    mesh.point_data["origin"] = first
-    normals = vtkPolyDataNormals()
-    normals.SetInputData(mesh)
-    normals.SetFeatureAngle(angle)
-    normals.SplittingOn()
-    normals.ConsistencyOff()
-    normals.NonManifoldTraversalOff()
-    normals.Update()
-    split = pv.wrap(normals.GetOutput())
-    origin = np.asarray(split.point_data["origin"])
-    split.point_data.remove("origin")
-    return split, origin
-
-
-def _weld(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distinct positions (to 1e-6 of the size), one vertex of each, and the position of every vertex."""
-    if not len(vertices):
-        return vertices, np.zeros(0, int), np.zeros(0, int)
-    step = max(float(np.ptp(vertices, axis=0).max()), 1e-12) * 1e-6
-    cell = np.round((vertices - vertices.min(axis=0)) / step).astype(np.int64)
-    key = (cell[:, 0] << 42) ^ (cell[:, 1] << 21) ^ cell[:, 2]
-    _, first, index = np.unique(key, return_index=True, return_inverse=True)
-    return vertices[first], first, index
-
-
-def floor_shadow(
-    vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"], strength: float = 0.75
-) -> tuple[Float[np.ndarray, "h w 4"], tuple[float, float, float, float], float]:
-    """A soft contact shadow: an RGBA picture (h, w, 4) in 0..1, the floor rectangle x0, x1, z0, z1, and the floor's y.
-
-    What is near the floor darkens it sharply, what is higher softly and faintly.
-    """
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    size = max(float(np.linalg.norm(high - low)), 1e-9)
-    margin = 0.18 * size
-    x0, x1, z0, z1 = low[0] - margin, high[0] + margin, low[2] - margin, high[2] + margin
-    alpha = np.zeros((FLOOR_PIXELS, FLOOR_PIXELS))
-    if area.sum() > 0:
-        rng = np.random.default_rng(0)  # a picture's noise, not a result: the same picture every time
-        which = rng.choice(len(area), 24000, p=area / area.sum())
-        u = np.sqrt(rng.random(24000))[:, None]
-        v = rng.random(24000)[:, None]
-        point = (1 - u) * a[which] + u * (1 - v) * b[which] + u * v * c[which]
-        height = (point[:, 1] - low[1]) / size
-        pixel = size / 24000 * FLOOR_PIXELS**2 / ((x1 - x0) * (z1 - z0)) * area.sum() / size
-        for reach, blur, weight in ((0.035, 0.018, 0.9), (0.12, 0.045, 0.5), (0.6, 0.09, 0.25)):
-            picture, _, _ = np.histogram2d(
-                point[:, 2], point[:, 0], bins=FLOOR_PIXELS, range=[[z0, z1], [x0, x1]],
-                weights=np.exp(-height / reach),
-            )  # fmt: skip
-            picture *= 0.5 * pixel
-            alpha += weight * gaussian_filter(
-                np.minimum(picture, 4.0),
-                (blur * size * FLOOR_PIXELS / (z1 - z0), blur * size * FLOOR_PIXELS / (x1 - x0)),
-            )
-    alpha = strength * (1 - np.exp(-1.2 * alpha))
-    ramp = np.minimum(np.arange(FLOOR_PIXELS), np.arange(FLOOR_PIXELS)[::-1]) / (0.1 * FLOOR_PIXELS)
-    fade = np.clip(ramp, 0, 1) ** 2
-    picture = np.zeros((FLOOR_PIXELS, FLOOR_PIXELS, 4))
-    picture[..., 3] = alpha * fade[:, None] * fade[None, :]
-    return picture, (float(x0), float(x1), float(z0), float(z1)), float(low[1])
-
-
-def light(renderer: vtkRenderer) -> None:
-    """Key from the upper left, fill from the right (4/5 of it), weak rim; they turn with the camera."""
-    renderer.RemoveAllLights()
-    renderer.AutomaticLightCreationOff()
-    for position, intensity in (((-0.55, 1.1, 0.75), 0.62), ((1.25, 0.25, 0.7), 0.48), ((0.2, 0.6, -1.0), 0.22)):
-        lamp = vtkLight()
-        lamp.SetLightTypeToCameraLight()
-        lamp.SetPosition(*position)
-        lamp.SetFocalPoint(0, 0, 0)
-        lamp.SetIntensity(intensity)
-        renderer.AddLight(lamp)
-
-
-def place_camera(
-    camera: vtkCamera, focus: tuple[float, float, float] = (0, 0, 0), scale: float = 0.56,
-    direction: tuple[float, float, float] = VIEW_DIRECTION,
-) -> None:  # fmt: skip
-    """Orthographic, from ``direction``, y up; ``scale`` is half the height of the view in diagonals."""
-    away = np.asarray(direction, float) / np.linalg.norm(direction) * 3
-    camera.SetParallelProjection(True)
-    camera.SetFocalPoint(*focus)
-    camera.SetPosition(*(np.asarray(focus) + away))
-    camera.SetViewUp(0, 1, 0)
-    camera.SetParallelScale(scale)
-    camera.SetClippingRange(0.5, 6.0)
-
-
-def frame_of(
-    vertices: Float[np.ndarray, "V 3"], aspect: float, direction: tuple[float, float, float] = VIEW_DIRECTION,
-    margin: float = 1.16,
-) -> tuple[tuple[float, float, float], float]:  # fmt: skip
-    """Focus and parallel scale with which ``vertices`` fill a view ``aspect`` times as wide as high."""
-    away = np.asarray(direction, float) / np.linalg.norm(direction)
-    right = np.cross((0, 1, 0), away)
-    right /= np.linalg.norm(right)
-    up = np.cross(away, right)
-    axes = np.stack([right, up, away])
-    flat = vertices @ axes.T
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    focus = ((low + high) / 2) @ axes
-    half = (high - low) / 2
-    return tuple(float(x) for x in focus), float(margin * max(half[1], half[0] / max(aspect, 1e-3), 1e-3))
+from shapeforge.viewer.look import floor_actor, light, place_camera, shade, surface
 
 
 def _colours_array(colours: np.ndarray) -> vtkDataArray:
     array = numpy_to_vtk(np.ascontiguousarray(colours, np.uint8), deep=True)
     array.SetName("colour")
     return array
-
-
-def _shade(actor: vtkActor, opacity: float) -> None:
-    look = actor.GetProperty()
-    look.SetInterpolationToPhong()
-    look.SetAmbient(AMBIENT)
-    look.SetDiffuse(DIFFUSE)
-    look.SetSpecular(SPECULAR)
-    look.SetSpecularPower(24)
-    look.SetOpacity(opacity)
 
 
 class _MeshActor:
@@ -191,7 +46,7 @@ class _MeshActor:
         if geometry or old.colours is not layer.colours or old.smooth_colours != layer.smooth_colours:
             self._colour(layer)
         if geometry or old.opacity != layer.opacity:
-            _shade(self.actor, layer.opacity)
+            shade(self.actor, layer.opacity)
         if geometry or old.edges != layer.edges:
             self._edges(layer, scale)
         self.layer = layer
@@ -306,32 +161,6 @@ class _LineActor:
         return [self.actor]
 
 
-def _floor_actor(vertices: np.ndarray, triangles: np.ndarray, strength: float) -> vtkActor:
-    picture, (x0, x1, z0, z1), y = floor_shadow(vertices, triangles, strength)
-    y -= 0.002
-    plane = vtkPlaneSource()
-    plane.SetOrigin(x0, y, z0)
-    plane.SetPoint1(x1, y, z0)
-    plane.SetPoint2(x0, y, z1)
-    image = vtkImageData()
-    image.SetDimensions(FLOOR_PIXELS, FLOOR_PIXELS, 1)
-    pixels = np.ascontiguousarray(np.round(picture * 255).astype(np.uint8).reshape(-1, 4))
-    image.GetPointData().SetScalars(numpy_to_vtk(pixels, deep=True))
-    texture = vtkTexture()
-    texture.SetInputData(image)
-    texture.InterpolateOn()
-    texture.SetColorModeToDirectScalars()
-    mapper = vtkPolyDataMapper()
-    mapper.SetInputConnection(plane.GetOutputPort())
-    actor = vtkActor()
-    actor.SetMapper(mapper)
-    actor.SetTexture(texture)
-    actor.GetProperty().LightingOff()
-    actor.ForceTranslucentOn()
-    actor.PickableOff()
-    return actor
-
-
 @dataclass(eq=False)
 class Cell:
     """One view's renderer and what is in it."""
@@ -366,6 +195,7 @@ class Scene:
         self.cells: list[Cell] = []
         self.display = Display()
         self.shape = (0, 0)
+        self.size: tuple[int, int] | None = None
         self.shadow = 0.75
         self.ambient_occlusion = False
         self._restyle()
@@ -415,16 +245,16 @@ class Scene:
         self.lay_out()
         return True
 
-    def lay_out(self) -> None:
-        """Viewports of the cells for the window's present size, one pixel apart."""
+    def lay_out(self, size: tuple[int, int] | None = None) -> None:
+        """Viewports of the cells one pixel apart, for a window of ``size`` pixels (its present size)."""
         rows, columns = self.shape
-        width, height = (max(n, 1) for n in self.window.GetSize())
+        self.size = size or self.size or tuple(self.window.GetSize())
+        width, height = (max(n, 1) for n in self.size)
         for i, cell in enumerate(self.cells):
             r, c = divmod(i, columns)
-            x0, x1 = round(c * width / columns), round((c + 1) * width / columns)
-            y0, y1 = round((rows - 1 - r) * height / rows), round((rows - r) * height / rows)
-            x0, y0 = x0 + (c > 0), y0 + (r < rows - 1)
-            cell.renderer.SetViewport(x0 / width, y0 / height, x1 / width, y1 / height)
+            x0, x1 = round(c * width / columns) + (c > 0), round((c + 1) * width / columns)
+            top, bottom = round(r * height / rows), round((r + 1) * height / rows) - (r < rows - 1)
+            cell.renderer.SetViewport(x0 / width, 1 - bottom / height, x1 / width, 1 - top / height)
 
     def _show_view(self, cell: Cell, view: View) -> bool:
         changed = False
@@ -460,7 +290,7 @@ class Scene:
             cell.renderer.RemoveActor(cell.floor)
             cell.floor = None
         if source[0] is not None and len(source[1]):
-            cell.floor = _floor_actor(source[0], source[1], self.shadow)
+            cell.floor = floor_actor(source[0], source[1], self.shadow)
             cell.renderer.AddActor(cell.floor)
         cell.floor_of = source
         return True
