@@ -102,12 +102,12 @@ def _obj(path, vertices, triangles, part, names, palette) -> None:
     used = np.unique(part)
     colours = [f"newmtl {words[i]}\nKd {' '.join(f'{c / 255:.4f}' for c in palette[i])}\n" for i in used]
     lines = [f"mtllib {material.name}"]
-    lines += ["v %r %r %r" % row for row in map(tuple, vertices.tolist())]
+    lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
     starts = np.flatnonzero(np.diff(part, prepend=part[:1] + 1)) if len(part) else []
     for start, end in zip(starts, [*starts[1:], len(part)], strict=True):
         word = words[part[start]]
         lines += [f"g {word}", f"usemtl {word}"]
-        lines += ["f %d %d %d" % row for row in map(tuple, (triangles[start:end] + 1).tolist())]
+        lines += [f"f {a} {b} {c}" for a, b, c in (triangles[start:end] + 1).tolist()]
     write_atomically(material, "\n".join(colours).encode())  # first: the .obj refers to it
     write_atomically(path, ("\n".join(lines) + "\n").encode())
 

@@ -93,7 +93,8 @@ class Shape:
     """One shape of the family, normalised and sampled.  ``mesh`` and ``points`` are in normal coordinates.
 
     ``face_of_point`` is a face record (as labels are), ``triangle_of_point`` a row of ``mesh.triangles``;
-    ``neighbours`` holds point indices inside the same patch, -1 where the patch is smaller.
+    ``neighbours`` holds point indices inside the same patch, -1 where the patch is smaller; ``normals`` point outward
+    as far as rays can tell, however the file winds its faces; ``notes`` says what was odd about the file, a sentence each.
     """
 
     name: str
@@ -106,6 +107,7 @@ class Shape:
     descriptors: Float[np.ndarray, "P 10"]
     patch: Int[np.ndarray, " P"]
     neighbours: Int[np.ndarray, "P n"]
+    notes: tuple[str, ...] = ()
 
     @property
     def n_points(self) -> int:

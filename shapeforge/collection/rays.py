@@ -1,0 +1,37 @@
+"""Where rays first meet a mesh: by Embree where ``embreex`` is installed (x86-64), else by our own tree of boxes."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from shapeforge.collection import _kernels_rays as kernels
+from shapeforge.collection.shape import Mesh
+
+try:
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+except ImportError:  # no wheel for this machine
+    EmbreeScene = None
+
+
+def first_hits(
+    mesh: Mesh, origins: Float[np.ndarray, "R 3"], directions: Float[np.ndarray, "R 3"], *, embree: bool | None = None
+) -> Float[np.ndarray, " R"]:
+    """Distance (R,) from each origin along its unit direction to the first triangle, either side of it; inf for none.
+
+    In the mesh's units, to single precision.  ``embree`` chooses the engine; None takes Embree where it is there.
+    """
+    corners = mesh.vertices[mesh.triangles[mesh.triangle_areas > 0]].astype(np.float32)
+    if embree is None:
+        embree = EmbreeScene is not None
+    if not embree:
+        return kernels.first_hits(corners, *kernels.box_tree(corners), origins, directions)
+    if EmbreeScene is None:
+        raise ValueError("embree: wanted the package embreex, but it is not installed")
+    scene = EmbreeScene()
+    TriangleMesh(scene, corners)
+    far = scene.run(origins.astype(np.float32), directions.astype(np.float32), query="DISTANCE")
+    far = far.astype(np.float64)
+    far[far > 1e20] = np.inf  # Embree's own mark of a miss
+    return far

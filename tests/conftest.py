@@ -1,0 +1,37 @@
+"""Shape and type checks for every module of shapeforge, and the real shapes where they are at hand."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from jaxtyping import install_import_hook
+
+# before Qt is imported anywhere: real widgets on a real (virtual) screen
+os.environ.setdefault("QT_QPA_PLATFORM", "xcb")
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+def checked_modules() -> list[str]:
+    """Every module by its full name, but packages: their names are prefixes of the compiled modules', which checks break."""
+    files = sorted((REPOSITORY / "shapeforge").rglob("*.py"))
+    return [
+        ".".join(file.relative_to(REPOSITORY).with_suffix("").parts)
+        for file in files
+        if file.stem != "__init__" and not file.stem.startswith("_kernels")
+    ]
+
+
+_hook = install_import_hook(checked_modules(), "beartype.beartype")
+
+
+@pytest.fixture(scope="session")
+def real_shapes() -> Path:
+    """Folder of real shapes for development ($SHAPEFORGE_DATA, else ``../shared/data``); skips where there is none."""
+    named = os.environ.get("SHAPEFORGE_DATA")
+    folder = Path(named) if named else REPOSITORY.parent / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip(f"the real shapes are not here: {folder} does not exist (set SHAPEFORGE_DATA)")
+    return folder
