@@ -1,0 +1,152 @@
+"""The header: where we are, the search for a shape, undo and redo, a picture, the menu."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import QPoint, QStringListModel, Qt
+from PySide6.QtGui import QAction, QKeyEvent
+from PySide6.QtWidgets import QCompleter, QFrame, QLineEdit, QMenu, QWidget
+
+from shapeforge.viewer.actions import PLACE_NAMES, Actions, group_of
+from shapeforge.viewer.qt.bind import ENABLING, Binding, action_button, native
+from shapeforge.viewer.qt.icons import refresh
+from shapeforge.viewer.qt.theme import HEADER, PADDING
+from shapeforge.viewer.qt.widgets import button, clear, icon_label, label, row, separator
+
+
+class Search(QLineEdit):
+    """Finds a shape by a part of its name; Enter selects it, Escape leaves."""
+
+    def __init__(self, actions: Actions, binding: Binding) -> None:
+        super().__init__()
+        self._session = actions.session
+        self.setPlaceholderText("Find a shape")
+        self.setFixedWidth(232)
+        self.setTextMargins(22, 0, 52, 0)
+        self.setAccessibleName("Find a shape")
+        self._names = QStringListModel(self)
+        completer = QCompleter(self._names, self)
+        completer.setCaseSensitivity(Qt.CaseSensitivity.CaseInsensitive)
+        completer.setFilterMode(Qt.MatchFlag.MatchContains)
+        completer.setMaxVisibleItems(12)
+        completer.activated.connect(self._choose)
+        self.setCompleter(completer)
+        key = label(native("Ctrl+K"), "keycap")
+        self.setLayout(row(icon_label("search"), None, key, margins=(8, 0, 6, 0)))
+        self.returnPressed.connect(self._enter)
+        binding.on(("project", "data"), self._show)
+
+    def _show(self) -> None:
+        project = self._session.project
+        self._names.setStringList([] if project is None else list(project.names))
+        self.setEnabled(project is not None)
+
+    def _enter(self) -> None:
+        wanted = self.text().strip().casefold()
+        names = self._names.stringList()
+        exact = [name for name in names if name.casefold() == wanted]
+        found = exact or [name for name in names if wanted and wanted in name.casefold()]
+        if found:
+            self._choose(found[0])
+        elif wanted:
+            self._session.say(f"No shape has {self.text().strip()!r} in its name.", "warning")
+
+    def _choose(self, name: str) -> None:
+        self._session.shape = name
+        self._session.say(f"Found {name}")
+        self.clear()
+        self.clearFocus()
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
+        if event.key() == Qt.Key.Key_Escape:
+            self.clear()
+            self.clearFocus()
+        else:
+            super().keyPressEvent(event)
+
+
+class Header(QFrame):
+    """48 pixels high, over everything but the rail."""
+
+    def __init__(self, actions: Actions, binding: Binding, items: dict[str, QAction]) -> None:
+        super().__init__()
+        self.setObjectName("header")
+        self.setFixedHeight(HEADER)
+        self._actions, self._items = actions, items
+        self.crumbs = row(spacing=6)
+        self.search = Search(actions, binding)
+        self.undo = action_button(actions, "undo", binding, text="", kind="icon")
+        self.redo = action_button(actions, "redo", binding, text="", kind="icon")
+        self.picture = action_button(actions, "picture", binding, text="", kind="icon")
+        self.more = button(icon="more", kind="icon", tooltip="Menu")
+        self.more.clicked.connect(self._open_menu)
+        holder = QWidget()
+        holder.setLayout(self.crumbs)
+        self.setLayout(
+            row(
+                holder, None, self.search, 4, separator(vertical=True), 4, self.undo, self.redo, 4,
+                separator(vertical=True), 4, self.picture, self.more, spacing=4, margins=(PADDING, 0, 12, 0),
+            )
+        )  # fmt: skip
+        binding.on(("project", "shape", "place", "data"), self._show)
+        binding.on(ENABLING, self._show_undo)
+
+    def _show(self) -> None:
+        session = self._actions.session
+        clear(self.crumbs)
+        if session.project is None:
+            self.crumbs.addWidget(label("shapeforge", "heading"))
+            return
+        crumbs = [(session.project.name, self._to_collection)]
+        g = group_of(session, session.shape)
+        if session.shape is None or session.place == "collection":
+            crumbs.append((PLACE_NAMES[session.place], self._to_collection))
+        else:
+            if g >= 0:
+                crumbs.append((f"Group {g + 1}", self._to_collection))
+            crumbs.append((session.shape, self._to_collection))
+        for i, (text, go) in enumerate(crumbs):
+            last = i == len(crumbs) - 1
+            if i:
+                self.crumbs.addWidget(icon_label("right", "text_off", 12))
+            one = button(text, kind="crumb")
+            one.setEnabled(not last)
+            one.clicked.connect(go)
+            self.crumbs.addWidget(one)
+        refresh(self, session.theme)
+
+    def _to_collection(self) -> None:
+        self._actions.run("go_collection")
+
+    def _show_undo(self) -> None:
+        history = self._actions.session.history
+        for one, verb, what in ((self.undo, "Undo", history.undo_label), (self.redo, "Redo", history.redo_label)):
+            key = native("Ctrl+Z" if verb == "Undo" else "Ctrl+Shift+Z")
+            one.setEnabled(what is not None)
+            one.setToolTip(f"{verb} {what}  ({key})" if what else f"{verb}  ({key})\nNothing to {verb.lower()}.")
+
+    def _open_menu(self) -> None:
+        menu = build_menu(self._actions, self._items, self)
+        corner = self.more.mapToGlobal(self.more.rect().bottomRight())
+        menu.popup(corner - QPoint(menu.sizeHint().width(), -4))
+
+
+def build_menu(actions: Actions, items: dict[str, QAction], parent: QWidget) -> QMenu:
+    """The menu of what is not on show elsewhere; what cannot be done is off and its tooltip says why."""
+    menu = QMenu(parent)
+    menu.setToolTipsVisible(True)
+    for name in _MENU:
+        if name is None:
+            menu.addSeparator()
+            continue
+        item = items[name]
+        shown = menu.addAction(item.icon(), item.text(), item.trigger)
+        shown.setShortcut(item.shortcut())
+        shown.setEnabled(actions.verdict(name)[0])
+        shown.setToolTip(item.toolTip())
+    return menu
+
+
+_MENU = (
+    "open_project", "import_files", "import_folder", "try_demo", None, "group", "cosegment", "learn", "refine", "stop",
+    None, "report", "picture", None, "theme", "help", "close_project",
+)  # fmt: skip
