@@ -48,7 +48,7 @@ class Overlay(QWidget):
         self.cameras: list[vtkCamera] = []
         self.theme = "dark"
 
-    def paintEvent(self, event: object) -> None:  # noqa: N802 (Qt's name)
+    def paintEvent(self, event: object) -> None:
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         cells = cell_rectangles(self.width(), self.height(), self.display.rows, self.display.columns)

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
-from pyvistaqt import QtInteractor
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer, Signal
 from PySide6.QtGui import QCloseEvent, QImage, QMouseEvent, QResizeEvent, QWheelEvent
 from PySide6.QtWidgets import QVBoxLayout, QWidget
+from pyvistaqt import QtInteractor
 from vtkmodules.vtkRenderingCore import vtkCamera
 
 from shapeforge.viewer.display import Display, Mark, MeshLayer, PointLayer
@@ -246,7 +246,7 @@ class View3D(QWidget):
         camera.SetFocalPoint(*(np.array(camera.GetFocalPoint()) + move))
         camera.SetPosition(*(np.array(camera.GetPosition()) + move))
 
-    def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         kind = event.type()
         if watched is not self.plotter or self._closed:
             return False
@@ -318,7 +318,7 @@ class View3D(QWidget):
 
     # ---- the widget ----------------------------------------------------------------------------------------------
 
-    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+    def resizeEvent(self, event: QResizeEvent) -> None:
         super().resizeEvent(event)
         self.overlay.setGeometry(self.rect())
         self.overlay.raise_()
@@ -328,7 +328,7 @@ class View3D(QWidget):
             self._fit_now()
         self.repaint_soon()
 
-    def closeEvent(self, event: QCloseEvent) -> None:  # noqa: N802
+    def closeEvent(self, event: QCloseEvent) -> None:
         self.shut()
         super().closeEvent(event)
 
