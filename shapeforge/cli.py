@@ -1,0 +1,464 @@
+"""The ``shapeforge`` command: one verb per stage, and a few that show or write what is there.
+
+Progress goes to standard error, results to standard output.  The exit status is 0 only when a verb did what it says;
+errors are one line, their traceback goes to the project's log.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+app = typer.Typer(
+    name="shapeforge", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
+    help="Understand a family of 3D shapes: groups, parts, correspondences, a generative model, new shapes.",
+)  # fmt: skip
+
+ProjectPath = Annotated[Path, typer.Argument(metavar="PROJECT", help="Folder of the project.", show_default=False)]
+Seed = Annotated[int | None, typer.Option(help="Seed of everything random (first run: 0).", show_default=False)]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Worker threads (default: one per processor).")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on the last line.")]
+Restart = Annotated[bool, typer.Option("--restart", help="Redo all, even what is done.")]
+Out = Annotated[Path, typer.Option(help="Folder to write to.", show_default=False)]
+
+
+def main() -> None:
+    """Entry point of the command; ends the process with its exit status."""
+    sys.exit(run_command(sys.argv[1:]))
+
+
+def run_command(arguments: list[str]) -> int:
+    """Run one command line (without the program's name); its exit status."""
+    import click
+
+    try:
+        result = app(arguments, standalone_mode=False)
+        return result if isinstance(result, int) else 0
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except (KeyboardInterrupt, click.exceptions.Abort):
+        print("Stopped. Run the same command again and it goes on.", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 1
+    except Exception as error:  # every failure becomes one line that says what to do
+        print(f"error: {one_line(error)}", file=sys.stderr)
+        return 1
+
+
+def one_line(error: BaseException) -> str:
+    """An error as one sentence: ours carry their remedy, others are named."""
+    text = " ".join(str(error).split())
+    if isinstance(error, MemoryError):
+        return "not enough memory. Close other programs, use fewer --points or fewer --jobs."
+    if isinstance(error, OSError) and error.strerror:
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror}. Check the path, its permissions and the free space."
+    if isinstance(error, ValueError | RuntimeError) and text:
+        return text
+    return f"{type(error).__name__}: {text or 'no message'}. The traceback is in the project's shapeforge.log."
+
+
+# -- following a stage -----------------------------------------------------------------------------------------------
+
+
+def follow(project: Any, steps: Iterator[Any], what: str) -> Any:
+    """Iterate with a progress bar on standard error; the last progress.  Problems are printed as they come."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    columns = (
+        TextColumn("{task.fields[stage]}"), TextColumn("[dim]{task.fields[phase]}"), BarColumn(24),
+        MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("[dim]{task.description}", markup=True),
+    )  # fmt: skip
+    latest = None
+    try:
+        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+            line = bar.add_task("", total=None, stage=what, phase="")
+            for latest in steps:
+                if latest.problem is not None:
+                    mark = "not read" if latest.problem.kind == "error" else "warning"
+                    bar.console.print(f"  {mark}: {latest.problem}", markup=False)
+                elif latest.phase in ("stale", "partial"):
+                    bar.console.print(f"  {latest.message}", markup=False)
+                left = f", {spoken(latest.seconds_left)} left" if (latest.seconds_left or 0) >= 2 else ""
+                bar.update(
+                    line, completed=latest.step, total=max(latest.of, 1), stage=latest.stage, phase=latest.phase,
+                    description=escaped(latest.message + left),
+                )  # fmt: skip
+                if not console.is_terminal and latest.phase in ("fit", "alternate") and latest.message:
+                    console.print(f"  {latest.message}", markup=False)
+    except BaseException as error:
+        project.log(f"{what}: {type(error).__name__}: {error}", error)
+        raise
+    return latest
+
+
+def escaped(text: str) -> str:
+    """Text without rich's markup, cut to what a terminal line holds."""
+    from rich.markup import escape
+
+    return escape(text if len(text) <= 80 else text[:79] + "…")
+
+
+def spoken(seconds: float) -> str:
+    """A duration for people: 40 s, 5 min, 2.5 h."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def run_stage(
+    path: Path, stage: str, as_json: bool, *, create: bool = False, jobs: int | None = None, restart: bool = False,
+    **options: Any,
+) -> None:  # fmt: skip
+    """Run one stage of the project at ``path`` and print what came out."""
+    from shapeforge import stages
+    from shapeforge.store import Project
+
+    project = Project.open_or_create(path) if create else Project.open(path)
+    steps = stages.run(project, stage, jobs=jobs, restart=restart, **options)
+    latest = follow(project, steps, stage)
+    record = project.stage_record(stage) or {}
+    summary = dict(record.get("summary") or {})
+    typer.echo(f"{stage}: {latest.message if latest else summary.get('text', 'done')}")
+    typer.echo(f"next: {stages.next_step(project)}", err=True)
+    if as_json:
+        print_json({"verb": stage, "project": str(path), "seconds": record.get("seconds"), **summary})
+
+
+def print_json(value: dict[str, Any]) -> None:
+    """One JSON object on one line, the last of the output."""
+    typer.echo(json.dumps(value, default=_plain))
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if hasattr(value, "item") else str(value)
+
+
+# -- the stages ------------------------------------------------------------------------------------------------------
+
+
+@app.command("import")
+def import_(
+    path: ProjectPath,
+    meshes: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="MESHES...", help="Mesh files and folders of them (obj, off, ply, stl, glb, gltf)."),
+    ] = None,
+    points: Annotated[int | None, typer.Option(min=100, help="Samples per shape (first run: 5000).")] = None,
+    up: Annotated[str | None, typer.Option(help="Which axis is up: auto, x, y, z or keep (first run: auto).")] = None,
+    seed: Seed = None,
+    jobs: Jobs = None,
+    restart: Restart = False,
+    as_json: Json = False,
+) -> None:
+    """Read meshes into PROJECT (made if absent): check, orient, sample, describe. Bad files are reported and skipped."""
+    if up is not None and up not in ("auto", "x", "y", "z", "keep"):
+        raise typer.BadParameter(f"--up: wanted auto, x, y, z or keep, got {up!r}")
+    run_stage(
+        path, "import", as_json, create=True, jobs=jobs, restart=restart, meshes=meshes or None, points=points, up=up,
+        seed=seed,
+    )  # fmt: skip
+
+
+@app.command()
+def group(
+    path: ProjectPath,
+    exemplars: Annotated[
+        list[str] | None,
+        typer.Option("--exemplars", metavar="NAME...", help="Shapes that shall stand for the groups, by hand."),
+    ] = None,
+    more: Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", hidden=True)] = None,
+    seed: Seed = None,
+    jobs: Jobs = None,
+    restart: Restart = False,
+    as_json: Json = False,
+) -> None:
+    """Find groups of similar shapes and an exemplar for each."""
+    chosen = named_after_option(exemplars, more, "--exemplars")
+    run_stage(path, "group", as_json, jobs=jobs, restart=restart, exemplars=chosen, seed=seed)
+
+
+def named_after_option(first: list[str] | None, more: list[str] | None, option: str) -> list[str] | None:
+    """``--option A B C`` as well as ``--option A --option B`` and ``--option A,B``."""
+    if more and not first:
+        raise typer.BadParameter(f"unexpected {more[0]!r}; names go after {option}")
+    words = [word for text in [*(first or ()), *(more or ())] for word in text.split(",") if word]
+    return words or None
+
+
+@app.command()
+def label(
+    path: ProjectPath,
+    labels: Annotated[Path, typer.Argument(metavar="LABELS", help="Folder with <shape name>.seg and labels.json.")],
+    only: Annotated[
+        list[str] | None,
+        typer.Option("--only", metavar="exemplars|NAME...", help="Only the exemplars, or only these shapes."),
+    ] = None,
+    more: Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", hidden=True)] = None,
+    as_json: Json = False,
+) -> None:
+    """Take part labels of faces from LABELS, for any shapes or only some."""
+    run_stage(path, "label", as_json, labels=labels, only=named_after_option(only, more, "--only"))
+
+
+@app.command()
+def cosegment(
+    path: ProjectPath,
+    parts: Annotated[int | None, typer.Option(min=2, help="Number of parts (default: found).")] = None,
+    seed: Seed = None,
+    jobs: Jobs = None,
+    restart: Restart = False,
+    as_json: Json = False,
+) -> None:
+    """Propose first parts automatically, instead of labels."""
+    run_stage(path, "cosegment", as_json, jobs=jobs, restart=restart, parts=parts, seed=seed)
+
+
+@app.command()
+def fit(
+    path: ProjectPath,
+    rounds: Annotated[int | None, typer.Option(min=1, help="Outer rounds at most (first run: 10).")] = None,
+    inner: Annotated[int | None, typer.Option(min=1, help="Inner rounds (first run: 3).")] = None,
+    seed: Seed = None,
+    jobs: Jobs = None,
+    restart: Restart = False,
+    as_json: Json = False,
+) -> None:
+    """Fit templates, correspondences and segmentations to all shapes, then the high-level templates."""
+    run_stage(path, "fit", as_json, jobs=jobs, restart=restart, rounds=rounds, inner=inner, seed=seed)
+
+
+@app.command()
+def learn(
+    path: ProjectPath,
+    epochs: Annotated[int | None, typer.Option(min=1, help="Epochs of fine-tuning (default: by size).")] = None,
+    seed: Seed = None,
+    jobs: Jobs = None,
+    restart: Restart = False,
+    as_json: Json = False,
+) -> None:
+    """Learn the Beta Shape Machine of the fitted family."""
+    run_stage(path, "learn", as_json, jobs=jobs, restart=restart, epochs=epochs, seed=seed)
+
+
+@app.command()
+def refine(
+    path: ProjectPath,
+    alternations: Annotated[int | None, typer.Option(min=1, help="Alternations (first run: 3).")] = None,
+    seed: Seed = None,
+    jobs: Jobs = None,
+    restart: Restart = False,
+    as_json: Json = False,
+) -> None:
+    """Joint analysis and synthesis: the machine guides the fit, the fit teaches the machine."""
+    run_stage(path, "refine", as_json, jobs=jobs, restart=restart, alternations=alternations, seed=seed)
+
+
+@app.command()
+def synthesize(
+    path: ProjectPath,
+    out: Out,
+    count: Annotated[int | None, typer.Option(min=1, help="How many (first run: 20).")] = None,
+    format: Annotated[str | None, typer.Option(help="glb, ply, obj or stl (first run: glb).")] = None,
+    temperature: Annotated[float | None, typer.Option(help="Below 1 typical shapes, above 1 unusual ones.")] = None,
+    seed: Seed = None,
+    jobs: Jobs = None,
+    restart: Restart = False,
+    as_json: Json = False,
+) -> None:
+    """Make new labelled meshes."""
+    run_stage(
+        path, "synthesize", as_json, jobs=jobs, restart=restart, out=str(out.absolute()), count=count, format=format,
+        temperature=temperature, seed=seed,
+    )  # fmt: skip
+
+
+# -- outputs ---------------------------------------------------------------------------------------------------------
+
+
+@app.command()
+def apply(
+    path: ProjectPath,
+    meshes: Annotated[list[Path], typer.Argument(metavar="MESHES...", help="Mesh files and folders of them.")],
+    out: Out,
+    jobs: Jobs = None,
+    as_json: Json = False,
+) -> None:
+    """Label, correspond and describe new shapes with the fitted family, without refitting."""
+    from shapeforge import stages_outputs
+    from shapeforge.store import Project
+
+    project = Project.open(path)
+    latest = follow(project, stages_outputs.apply(project, meshes, out, jobs=jobs), "apply")
+    typer.echo(f"apply: {latest.message}")
+    if as_json:
+        print_json({"verb": "apply", "project": str(path), "out": str(out), "shapes": latest.of})
+
+
+@app.command()
+def export(
+    path: ProjectPath,
+    out: Out,
+    probabilities: Annotated[bool, typer.Option("--probabilities", help="Also probabilities/<name>.npz.")] = False,
+    jobs: Jobs = None,
+    as_json: Json = False,
+) -> None:
+    """Write labels, corresponding points, groups and descriptors of every shape."""
+    from shapeforge import stages_outputs
+    from shapeforge.store import Project
+
+    project = Project.open(path)
+    steps = stages_outputs.export(project, out, probabilities=probabilities, jobs=jobs)
+    latest = follow(project, steps, "export")
+    typer.echo(f"export: {latest.message}")
+    if as_json:
+        print_json({"verb": "export", "project": str(path), "out": str(out), "shapes": latest.of})
+
+
+@app.command()
+def validate(
+    path: ProjectPath,
+    labels: Annotated[Path | None, typer.Option(help="Folder of true .seg files and labels.json.")] = None,
+    landmarks: Annotated[Path | None, typer.Option(help="landmarks.json: {shape: {landmark: [x, y, z]}}.")] = None,
+    classes: Annotated[Path | None, typer.Option(help="classes.csv: name,class.")] = None,
+    seed: Seed = None,
+    jobs: Jobs = None,
+    as_json: Json = False,
+) -> None:
+    """Measure against truth, beside plain affine transfer; shapes that gave evidence are left out."""
+    from shapeforge import stages_validation
+    from shapeforge.store import Project
+
+    project = Project.open(path)
+    steps = stages_validation.validate(
+        project, labels=labels, landmarks=landmarks, classes=classes, seed=seed or 0, jobs=jobs
+    )
+    found = follow(project, steps, "validate").state
+    typer.echo(stages_validation.table(found))
+    if as_json:
+        print_json({"verb": "validate", "project": str(path), **found})
+
+
+@app.command()
+def report(
+    path: ProjectPath,
+    out: Annotated[Path, typer.Option(help="HTML file to write.", show_default=False)],
+    as_json: Json = False,
+) -> None:
+    """Write one self-contained page of pictures, plots and figures."""
+    from shapeforge.store import Project
+
+    project = Project.open(path)
+    written = write_report(project, out)
+    typer.echo(f"report: {written}")
+    if as_json:
+        print_json({"verb": "report", "project": str(path), "out": str(written)})
+
+
+def write_report(project: Any, out: Path) -> Path:
+    """The report of a project at ``out``; errors go to the project's log."""
+    from shapeforge.viewer.report import write_report as write
+
+    try:
+        out.absolute().parent.mkdir(parents=True, exist_ok=True)
+        write(project, out)
+    except Exception as error:
+        project.log(f"report: {error}", error)
+        raise
+    return out
+
+
+@app.command()
+def info(path: ProjectPath, as_json: Json = False) -> None:
+    """Show what is there, what is done or stale, and what comes next."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from shapeforge import stages
+    from shapeforge.store import Project
+
+    project = Project.open(path)
+    states = stages.status(project)
+    problems, groups, parts = project.problems, project.groups, project.part_names
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(f"{project.name}: {len(project.names)} shapes", markup=False)
+    if groups is not None:
+        console.print(f"exemplars: {', '.join(project.names[t] for t in groups.exemplars)}", markup=False)
+    if parts is not None:
+        console.print(f"parts: {', '.join(parts.names)}", markup=False)
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for column in ("stage", "state", "why"):
+        table.add_column(column, overflow="fold")
+    for stage, status in states.items():
+        table.add_row(stage, status.state, escaped(status.reason))
+    console.print(table)
+    for problem in problems:
+        console.print(f"{problem.kind}: {problem}", markup=False)
+    console.print(f"next: {stages.next_step(project)}", markup=False)
+    if as_json:
+        print_json({
+            "verb": "info", "project": str(path), "shapes": list(project.names),
+            "exemplars": [project.names[t] for t in groups.exemplars] if groups is not None else [],
+            "parts": list(parts.names) if parts else [],
+            "stages": {stage: {"state": status.state, "reason": status.reason} for stage, status in states.items()},
+            "problems": [vars(problem) for problem in problems], "next": stages.next_step(project),
+        })  # fmt: skip
+
+
+@app.command()
+def view(path: Annotated[Path | None, typer.Argument(metavar="[PROJECT]", help="Project to open.")] = None) -> None:
+    """Open the window."""
+    open_window(path)
+
+
+def open_window(path: Path | None) -> None:
+    """Open the window and stay until it is closed; a clear error when there is no screen."""
+    if not has_screen():
+        raise RuntimeError("there is no screen (DISPLAY and WAYLAND_DISPLAY are empty). Use shapeforge report instead")
+    from shapeforge.viewer.qt.window import main as open_main_window
+
+    status = open_main_window(path)
+    if status:
+        raise typer.Exit(int(status))
+
+
+def has_screen() -> bool:
+    """Whether a window could be shown here."""
+    import os
+
+    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+@app.command()
+def demo(
+    folder: Annotated[Path, typer.Argument(metavar="[FOLDER]", help="Folder for the demo's files.")] = Path("demo"),
+    family: Annotated[str, typer.Option(help="chairs or airplanes.")] = "chairs",
+    count: Annotated[int, typer.Option(min=6, help="How many shapes to generate.")] = 40,
+    points: Annotated[int, typer.Option(min=100, help="Samples per shape.")] = 1500,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    jobs: Jobs = None,
+    window: Annotated[bool, typer.Option(help="Open the window at the end, if there is a screen.")] = True,
+    as_json: Json = False,
+) -> None:
+    """Run the whole pipeline on a bundled family, then open the window (pictures only without a screen)."""
+    from shapeforge.demo import run_demo
+
+    summary = run_demo(folder, family=family, count=count, points=points, seed=seed, jobs=jobs)
+    if as_json:
+        print_json({"verb": "demo", **summary})
+    if window and has_screen():
+        open_window(Path(summary["project"]))
+
+
+if __name__ == "__main__":
+    main()

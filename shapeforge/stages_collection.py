@@ -1,0 +1,306 @@
+"""The stages of the collection: import, group, label, cosegment."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shapeforge.collection.labels import PartNames
+from shapeforge.stages import Progress, StageError, Task
+from shapeforge.store import Problem, Project, key_of
+from shapeforge.store_arrays import copy_file, read_record, write_record
+from shapeforge.store_results import write_names
+
+SECONDS_BETWEEN_SAVES = 2.0
+"""The list of shapes is written at most so often during an import: a kill costs no more work than this."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A file to import: the shape's name, where to read it, where it came from, what its result will be filed under."""
+
+    name: str
+    file: Path
+    source: Path
+    sha256: str
+    key: str
+
+
+# -- import ----------------------------------------------------------------------------------------------------------
+
+
+def import_meshes(task: Task) -> Iterator[Progress]:
+    """Read, check, orient, sample and describe meshes (``meshes``: files and folders, None: go on with the copies).
+
+    A file that cannot be read is reported and skipped.  Shapes that are there already, from the same bytes and by the
+    same options, are not read again; a changed file is.
+    """
+    from shapeforge.collection.meshes import MeshError, find_meshes
+
+    project, given = task.project, task.arguments["meshes"]
+    try:
+        found = find_meshes([given] if isinstance(given, str | Path) else list(given)) if given else []
+    except MeshError as error:
+        raise StageError(str(error)) from error
+    if not found and not project.names:
+        raise StageError(f"meshes: wanted files or folders to import into {project.path}, got none")
+    readings, kept, failed = _plan(task, _named(project, found))
+    total = len(readings) + len(kept)
+    problems: list[Problem] = list(failed)
+    for problem in failed:
+        yield task.progress("read", 0, total, str(problem), problem=problem)
+    if kept and readings:
+        yield task.progress("read", len(kept), total, f"{len(kept)} shapes are there already")
+    records: dict[str, dict[str, Any]] = {}
+    read, saved = 0, time.monotonic()
+    results = task.workers.map(lambda reading: _import_one(project, reading, task.options), readings)
+    for step, (reading, (record, found_problems, error)) in enumerate(zip(readings, results, strict=True), len(kept)):
+        problems += found_problems
+        if error is not None:
+            project.log(f"import: {reading.source}", error)
+        if record is not None:
+            records[reading.name] = record
+            read += 1
+        if time.monotonic() - saved > SECONDS_BETWEEN_SAVES:
+            project.add_shapes(records)
+            records, saved = {}, time.monotonic()
+        message = f"{reading.name}: {record['n_faces']} faces" if record else str(found_problems[0])
+        problem = found_problems[0] if found_problems else None
+        yield task.progress("read", step + 1, total, message, problem=problem)
+    project.add_shapes(records)
+    about = [str(reading.source) for reading in readings] + [problem.file for problem in failed]
+    project.set_problems(problems, about)
+    errors = sum(problem.kind == "error" for problem in problems)
+    text = f"{len(project.names)} shapes" + (f", {errors} files not read" if errors else "")
+    task.summary |= {"text": text, "shapes": len(project.names), "read": read, "kept": len(kept), "not_read": errors}
+    if not project.names:
+        raise StageError(f"none of the {errors} files could be read: {problems[0]}")
+    yield task.progress("read", total, total, text)
+
+
+def _named(project: Project, found: Sequence[tuple[str, Path]]) -> list[tuple[str, Path]]:
+    """Names for the files found: a file keeps the name it has; a second file of that name gets its folder's before."""
+    source_of = {name: project.shape_record(name)["source"] for name in project.names}
+    name_of = {source: name for name, source in source_of.items()}
+    named = []
+    for name, path in found:
+        source = str(path.resolve())
+        if source in name_of:
+            name = name_of[source]
+        elif name in source_of and Path(source_of[name]).exists():
+            name = f"{path.resolve().parent.name}__{name}"
+        named.append((name, path))
+    return named
+
+
+def _plan(task: Task, found: Sequence[tuple[str, Path]]) -> tuple[list[Reading], list[str], list[Problem]]:
+    """What to read (files given, and shapes whose options changed), what stays, and files that cannot be opened."""
+    project, readings, kept, failed = task.project, [], [], []
+    given = set()
+    for name, path in found:
+        source = path.resolve()
+        try:
+            sha256 = _digest(path)
+        except OSError as error:
+            remedy = "Check the path and its permissions"
+            failed.append(Problem(str(source), "error", f"cannot be opened ({error.strerror})", remedy))
+            continue
+        given.add(name)
+        readings.append(Reading(name, path, source, sha256, _shape_key(sha256, task.options)))
+    for name in project.names:
+        if name not in given:
+            record = project.shape_record(name)
+            source, copy = Path(record["source"]), project.mesh_path(name)
+            key = _shape_key(record["sha256"], task.options)
+            unchanged = source.is_file() and _digest(source) == record["sha256"]
+            readings.append(Reading(name, source if unchanged else copy, source, record["sha256"], key))
+    wanted = []
+    for reading in readings:
+        known = reading.name in project.names and project.shape_record(reading.name)["key"] == reading.key
+        if known and not task.restart and project.shape_path(reading.name).is_file():
+            kept.append(reading.name)
+        else:
+            wanted.append(reading)
+    return wanted, kept, failed
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _shape_key(sha256: str, options: Mapping[str, Any]) -> str:
+    return key_of(sha256, {name: options[name] for name in ("points", "up", "seed")})
+
+
+def _import_one(
+    project: Project, reading: Reading, options: Mapping[str, Any]
+) -> tuple[dict[str, Any] | None, list[Problem], BaseException | None]:
+    """Prepare and write one shape; its record, what is odd about it, and the error if it could not be read."""
+    from shapeforge.collection.meshes import MeshError, read_mesh, repair_notes
+    from shapeforge.collection.prepare import prepare_shape
+    from shapeforge.store import ProjectError
+
+    source = str(reading.source)
+    try:
+        mesh = read_mesh(reading.file)
+        rng = np.random.default_rng([int(options["seed"]), int(reading.sha256[:15], 16)])
+        shape = prepare_shape(reading.name, mesh, n_points=int(options["points"]), up=options["up"], rng=rng)
+        notes = list(repair_notes(mesh))
+        notes += [note for note in getattr(shape, "notes", ()) if note not in notes]
+    except MeshError as error:
+        return None, [Problem(source, "error", error.problem, error.remedy)], error
+    except (ValueError, ArithmeticError, MemoryError, IndexError) as error:
+        remedy = "Repair it in a mesh editor; the project's log has the details"
+        return None, [Problem(source, "error", f"cannot be prepared ({error})", remedy)], error
+    if any(character in reading.name for character in "/\\\0"):
+        raise ProjectError(source, "has a name that cannot be a file's", "Rename it")
+    copy = Path("meshes") / f"{reading.name}{reading.file.suffix.lower()}"
+    if reading.file != project.path / copy:
+        copy_file(reading.file, project.path / copy)
+    project.save_shape(shape, reading.key)
+    stamp = reading.source.stat() if reading.source.exists() else None
+    record = {
+        "file": str(copy), "source": source, "sha256": reading.sha256, "key": reading.key,
+        "modified": stamp.st_mtime_ns if stamp else 0, "size": stamp.st_size if stamp else 0,
+        "n_faces": int(mesh.n_faces), "n_triangles": len(mesh.triangles), "notes": notes,
+    }  # fmt: skip
+    return record, [Problem(source, "warning", note) for note in notes], None
+
+
+# -- group -----------------------------------------------------------------------------------------------------------
+
+
+def group(task: Task) -> Iterator[Progress]:
+    """Groups of similar shapes and an exemplar for each; ``exemplars`` (shape names) sets them by hand."""
+    from shapeforge.collection.groups import group_shapes
+
+    project = task.project
+    chosen = task.options["exemplars"]
+    if isinstance(chosen, str):
+        chosen = [chosen]
+    unknown = [name for name in chosen or () if name not in project.names]
+    if unknown:
+        raise StageError(f"exemplars: {unknown[0]!r} is not a shape of {project.path}; shapeforge info lists them")
+    exemplars = [project.index(name) for name in chosen] if chosen else None
+    rng = np.random.default_rng(task.options["seed"])
+    state = None
+    for state in group_shapes(project.shapes, rng=rng, executor=task.workers, exemplars=exemplars):
+        yield task.progress(state.phase, state.step, state.of, state.phase, state=state)
+    if state is None or state.groups is None:
+        raise StageError(f"the shapes of {project.path} could not be grouped; name exemplars: --exemplars NAME NAME")
+    project.set_groups(state.groups)
+    names = [project.names[t] for t in state.groups.exemplars]
+    text = f"{len(names)} group{'s' * (len(names) > 1)}, exemplars {', '.join(names)}"
+    task.summary |= {"text": text, "groups": len(names), "exemplars": names, "stop_reason": state.stop_reason}
+    yield task.progress("groups", 1, 1, text, state=state)
+
+
+# -- label -----------------------------------------------------------------------------------------------------------
+
+
+def label(task: Task) -> Iterator[Progress]:
+    """Take labels from a folder of ``.seg`` files (``labels``), for all shapes or ``only`` those named.
+
+    ``only`` is "exemplars" or names.  A file that does not fit its mesh is reported and skipped.  Raises
+    :class:`StageError` when a shape asked for by name gets no labels, or none at all does.
+    """
+    from shapeforge.collection.labels import LabelError, find_part_names, read_seg
+
+    project = task.project
+    if task.arguments["labels"] is None:
+        raise StageError("labels: wanted a folder with .seg files, got none")
+    folder = Path(task.arguments["labels"])
+    if not folder.is_dir():
+        raise StageError(f"{folder}: is not a folder. Name the folder that holds the .seg files.")
+    wanted, by_name = _wanted(project, task.arguments["only"])
+    try:
+        given = find_part_names(folder)
+    except LabelError as error:
+        raise StageError(str(error)) from error
+    part_names = merged_part_names(project.part_names if project.labelled else None, given)
+    translate = np.array([part_names.ids.index(part) for part in given.ids] + [-1], np.int32)
+    taken, problems, absent = [], [], []
+    project.set_part_names(part_names)
+    for step, name in enumerate(wanted):
+        file = folder / f"{name}.seg"
+        problem = None
+        if not file.is_file():
+            absent.append(name)
+            message = f"{name}: no {file.name}"
+        else:
+            try:
+                faces = read_seg(file, project.shape_record(name)["n_faces"], given)
+                project.set_labels(name, translate[faces])
+                taken.append(name)
+                message = name
+            except LabelError as error:
+                problem = Problem(str(file.resolve()), "error", str(error))
+                problems.append(problem)
+                message = str(error)
+        yield task.progress("read", step + 1, len(wanted), message, problem=problem)
+    project.set_problems(problems, [str((folder / f"{name}.seg").resolve()) for name in wanted])
+    text = f"{len(taken)} shapes labelled with {len(part_names)} parts"
+    task.summary |= {"text": text, "labelled": taken, "without": absent, "not_read": [p.file for p in problems]}
+    if by_name and (absent or problems):
+        reason = str(problems[0].reason) if problems else f"{folder} has no {absent[0]}.seg"
+        raise StageError(f"{reason} ({len(taken)} of {len(wanted)} shapes were labelled)")
+    if not taken:
+        reason = problems[0].reason if problems else f"{folder}: has no .seg file named like a shape of the project"
+        raise StageError(f"{reason.rstrip('.')}. A shape called chair needs chair.seg, one integer per face.")
+    yield task.progress("read", len(wanted), len(wanted), text)
+
+
+def _wanted(project: Project, only: Any) -> tuple[list[str], bool]:
+    """Shapes to label, and whether each was asked for by name."""
+    names = [only] if isinstance(only, str) else list(only or ())
+    if not names:
+        return list(project.names), False
+    if names == ["exemplars"]:
+        groups = project.groups
+        if groups is None:
+            raise StageError(f"there are no exemplars yet. Group the shapes: shapeforge group {project.path}")
+        return [project.names[t] for t in groups.exemplars], False
+    for name in names:
+        project.shape_record(name)
+    return names, True
+
+
+def merged_part_names(present: PartNames | None, given: PartNames) -> PartNames:
+    """Parts known already keep their index, new ids come after; a known id takes the name given now."""
+    if present is None:
+        return given
+    names = dict(zip(present.ids, present.names, strict=True)) | dict(zip(given.ids, given.names, strict=True))
+    return PartNames(tuple(names), tuple(names.values()))
+
+
+# -- cosegment -------------------------------------------------------------------------------------------------------
+
+
+def cosegment(task: Task) -> Iterator[Progress]:
+    """Propose parts for every shape without labels: label probabilities per point that the fit starts from."""
+    from shapeforge.deformation.boxes import propose_parts
+
+    project, folder = task.project, task.folder
+    yield task.progress("propose", 0, 1, "looking for parts that many shapes share")
+    rng = np.random.default_rng(task.options["seed"])
+    proposal = propose_parts(project.shapes, project.groups, n_parts=task.options["parts"], rng=rng)
+    write_record(folder / "proposal.zarr.zip", proposal)
+    write_names(folder / "names.zarr.zip", project.names)
+    number = len(proposal.part_names)
+    if not project.labelled:
+        project.set_part_names(PartNames(tuple(range(number)), tuple(proposal.part_names)))
+    text = f"{number} parts proposed"
+    task.summary |= {"text": text, "parts": number, "energy": float(getattr(proposal, "energy", np.nan))}
+    yield task.progress("propose", 1, 1, text, state=proposal)
+
+
+def read_proposal(project: Project) -> Any | None:
+    """The ``Proposal`` of the last ``cosegment``, None before it."""
+    folder = project.current_folder("cosegment")
+    return None if folder is None else read_record(folder / "proposal.zarr.zip")[0]

@@ -1,0 +1,213 @@
+"""What leaves a project: exports, and labels and correspondences for shapes that are not part of it."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shapeforge.collection.labels import PartNames, write_part_names, write_seg
+from shapeforge.collection.shape import Shape
+from shapeforge.stages import Progress, StageError, refresh
+from shapeforge.stages_synthesis import fitted_part_names
+from shapeforge.store import Problem, Project
+from shapeforge.store_arrays import clear_disk_errors, replacing, write_text
+from shapeforge.workers import Workers
+
+# -- export ----------------------------------------------------------------------------------------------------------
+
+
+def export(
+    project: Project, out: str | Path, *, probabilities: bool = False, jobs: int | None = None
+) -> Iterator[Progress]:
+    """Write labels, corresponding points, groups and (once learned) descriptors of every shape into the folder ``out``.
+
+    Files: ``labels/<name>.seg``, ``labels/labels.json``, ``points/<name>.npz`` (positions (K, 3) in the input mesh's
+    coordinates, NaN where absent; part (K,) label ids; existence (K,)), ``groups.csv``, ``descriptors.csv`` and, when
+    asked, ``probabilities/<name>.npz``.  A stale fit is redone first.
+    """
+    yield from refresh(project, ("fit", "learn"), jobs=jobs, wanted_by="export", optional=("learn",))
+    out = Path(out)
+    names, part_names = project.fit_names, fitted_part_names(project)
+    ids = np.array(part_names.ids, np.int64)[project.part_of_point]
+    with clear_disk_errors(out):
+        for folder in ("labels", "points"):
+            (out / folder).mkdir(parents=True, exist_ok=True)
+        write_part_names(out / "labels" / "labels.json", part_names)
+    for step, name in enumerate(names):
+        shape = project.shapes.named(name)
+        write_result(
+            out, shape, project.face_labels(name), project.positions(name), project.existence(name), ids, part_names
+        )
+        if probabilities:
+            write_npz(out / "probabilities" / f"{name}.npz", face_and_point_probabilities(project, shape, part_names))
+        yield Progress("export", "write", step + 1, len(names), name)
+    write_groups(out / "groups.csv", project)
+    found = project.descriptors()
+    if found is not None:
+        write_descriptors(out / "descriptors.csv", *found)
+    yield Progress("export", "write", len(names), len(names), f"{len(names)} shapes exported to {out}")
+
+
+def write_result(
+    out: Path, shape: Shape, labels: np.ndarray, positions: np.ndarray, existence: np.ndarray, ids: np.ndarray,
+    part_names: PartNames,
+) -> None:  # fmt: skip
+    """``labels/<name>.seg`` and ``points/<name>.npz`` of one shape."""
+    with clear_disk_errors(out / "labels" / f"{shape.name}.seg"):
+        write_seg(out / "labels" / f"{shape.name}.seg", labels, part_names)
+    arrays = {"positions": shape.frame.to_input(positions), "part": ids, "existence": existence}
+    write_npz(out / "points" / f"{shape.name}.npz", arrays)
+
+
+def write_npz(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Write plain arrays atomically."""
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        np.savez(file, **arrays)
+
+
+def face_and_point_probabilities(project: Project, shape: Shape, part_names: PartNames) -> dict[str, np.ndarray]:
+    """Label probabilities per face (F, L) with the ids (L,), and the sparse correspondence of surface samples.
+
+    Row ``point[i]`` of ``samples`` (P, 3, input coordinates) corresponds to point ``template_point[i]`` of template
+    set ``template`` with probability ``correspondence[i]``.
+    """
+    from shapeforge.deformation.updates import find_candidates, make_problem, update_correspondences
+
+    state, beliefs = project.fit(), project.beliefs(shape.name)
+    templates, covariances = state.templates[beliefs.template], state.covariances
+    problem = make_problem(shape, project.labels(shape.name))
+    alive = beliefs.active[templates.label]
+    candidates = find_candidates(problem, templates, beliefs.deformed, alive, covariances.descriptor)
+    sparse = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
+    return {
+        "labels": project.face_probabilities(shape.name), "ids": np.array(part_names.ids, np.int64),
+        "samples": shape.frame.to_input(shape.points), "template": np.int64(beliefs.template),
+        "point": np.repeat(np.arange(shape.n_points), np.diff(candidates.offsets)),
+        "template_point": candidates.template_index, "correspondence": np.asarray(sparse.probability, np.float32),
+    }  # fmt: skip
+
+
+def write_groups(path: Path, project: Project) -> None:
+    """``groups.csv``: shape, group (number from 0, -1: none), exemplar (true or false)."""
+    groups = project.groups
+    exemplars = set() if groups is None else {int(t) for t in groups.exemplars}
+    rows = [
+        (name, -1 if groups is None else int(groups.group[t]), "true" if t in exemplars else "false")
+        for t, name in enumerate(project.names)
+    ]
+    write_csv(path, ("shape", "group", "exemplar"), rows)
+
+
+def write_descriptors(path: Path, names: Sequence[str], values: np.ndarray) -> None:
+    """``descriptors.csv``: shape, then the numbers that nearest-neighbour search should use."""
+    header = ("shape", *(f"d{i}" for i in range(values.shape[1])))
+    write_csv(path, header, [(name, *(f"{v:.6g}" for v in row)) for name, row in zip(names, values, strict=True)])
+
+
+def write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+    """A comma-separated table, atomically; decimals have dots in every locale."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
+
+
+# -- apply -----------------------------------------------------------------------------------------------------------
+
+
+def apply(
+    project: Project, meshes: Sequence[str | Path], out: str | Path, *, jobs: int | None = None
+) -> Iterator[Progress]:
+    """Label, correspond and (once learned) describe new shapes with the fitted family; the project is not changed.
+
+    Files in ``out`` as :func:`export` writes them.  A file that cannot be read is reported and skipped; then, after
+    all the others, :class:`StageError` says how many.
+    """
+    from shapeforge.collection.meshes import MeshError, find_meshes
+
+    yield from refresh(project, ("fit",), jobs=jobs, wanted_by="apply")
+    try:
+        found = find_meshes([Path(path) for path in meshes])
+    except MeshError as error:
+        raise StageError(str(error)) from error
+    out, part_names, hierarchy, state = Path(out), fitted_part_names(project), project.hierarchy(), project.fit()
+    ids = np.array(part_names.ids, np.int64)[hierarchy.top.label]
+    options = (project.stage_record("import") or {})["options"]
+    with clear_disk_errors(out):
+        for folder in ("labels", "points"):
+            (out / folder).mkdir(parents=True, exist_ok=True)
+        write_part_names(out / "labels" / "labels.json", part_names)
+
+    def work(name: str, path: Path) -> tuple[Any, Problem | None]:
+        try:
+            return apply_one(name, path, options, state, hierarchy), None
+        except MeshError as error:
+            return None, Problem(str(path), "error", error.problem, error.remedy)
+        except (ValueError, ArithmeticError) as error:
+            project.log(f"apply: {path}", error)
+            return None, Problem(str(path), "error", f"cannot be fitted ({error})", "The project's log has the details")
+
+    done: list[tuple[str, np.ndarray, int]] = []
+    failed: list[Problem] = []
+    workers = Workers(jobs)
+    try:
+        results = workers.map(work, [name for name, _ in found], [path for _, path in found])
+        for step, ((name, _), (result, problem)) in enumerate(zip(found, results, strict=True)):
+            if problem is not None:
+                failed.append(problem)
+                yield Progress("apply", "fit", step + 1, len(found), str(problem), problem=problem)
+                continue
+            shape, labels, positions, existence, template = result
+            write_result(out, shape, labels, positions, existence, ids, part_names)
+            done.append((name, positions, template))
+            yield Progress("apply", "fit", step + 1, len(found), name)
+    finally:
+        workers.close()
+    source_group = _group_of_template(project, state)
+    write_csv(out / "groups.csv", ("shape", "group", "exemplar"), [(n, source_group[g], "false") for n, _, g in done])
+    machine = project.machine()
+    if machine is not None and done:
+        write_descriptors(out / "descriptors.csv", [n for n, _, _ in done], describe(machine, [p for _, p, _ in done]))
+    if failed:
+        raise StageError(f"{len(failed)} of {len(found)} files were not labelled: {failed[0]}")
+    yield Progress("apply", "fit", len(found), len(found), f"{len(done)} shapes labelled in {out}")
+
+
+def apply_one(name: str, path: Path, options: dict[str, Any], state: Any, hierarchy: Any) -> tuple[Any, ...]:
+    """One new shape: (shape, face labels, positions (K, 3), existence (K,), index of the templates that explain it)."""
+    from shapeforge.collection.meshes import read_mesh
+    from shapeforge.collection.prepare import prepare_shape
+    from shapeforge.deformation.apply import fit_one
+    from shapeforge.deformation.faces import label_faces
+    from shapeforge.deformation.hierarchy import corresponding_points
+
+    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+    rng = np.random.default_rng([int(options["seed"]), int(sha256[:15], 16)])
+    shape = prepare_shape(name, read_mesh(path), n_points=int(options["points"]), up=options["up"], rng=rng)
+    beliefs = fit_one(shape, state.templates, state.covariances, annealed_from=state.annealed_from)
+    labels, _ = label_faces(shape, beliefs)
+    positions, existence = corresponding_points(shape, beliefs, hierarchy)
+    return shape, labels, positions, existence, beliefs.template
+
+
+def describe(machine: Any, positions: Sequence[np.ndarray]) -> np.ndarray:
+    """Learnt descriptors (T, F) of shapes given by their corresponding points (K, 3), NaN where absent."""
+    from shapeforge.generative.descriptors import describe_shapes
+    from shapeforge.generative.observations import observe
+
+    seen = observe(np.stack(positions), machine.part, machine.part_names, machine.low, machine.high)
+    return np.asarray(describe_shapes(machine, seen))
+
+
+def _group_of_template(project: Project, state: Any) -> list[int]:
+    """Number of the group whose exemplar each template set came from, -1 where that is no exemplar any more."""
+    groups = project.groups
+    exemplars = [] if groups is None else [project.names[t] for t in groups.exemplars]
+    return [exemplars.index(t.source) if t.source in exemplars else -1 for t in state.templates]

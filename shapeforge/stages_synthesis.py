@@ -1,0 +1,127 @@
+"""The last stage: draw new shapes from the machine and make labelled meshes of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shapeforge.collection.labels import PartNames, write_part_names, write_seg
+from shapeforge.stages import Progress, StageError, Task
+from shapeforge.store import Project
+from shapeforge.store_arrays import clear_disk_errors, read_record, write_record, write_text
+
+FORMATS = ("glb", "ply", "obj", "stl")
+PART_COLOURS = np.array(
+    [[230, 159, 0], [86, 180, 233], [0, 158, 115], [213, 94, 0], [204, 121, 167], [240, 228, 66], [0, 114, 178]],
+    np.uint8,
+)
+"""Colours of parts in meshes (Okabe-Ito), from the first again when there are more parts."""
+
+
+def synthesize(task: Task) -> Iterator[Progress]:
+    """``count`` new shapes: drawn, made of retrieved and bent parts, written as labelled meshes to ``out``."""
+    from shapeforge.generative.draw import draw
+    from shapeforge.synthesis.assemble import synthesize as synthesize_mesh
+
+    project, folder, options = task.project, task.folder, task.options
+    if options["format"] not in FORMATS:
+        raise StageError(f"format: wanted one of {', '.join(FORMATS)}, got {options['format']!r}")
+    count = int(options["count"])
+    if count < 1:
+        raise StageError(f"count: wanted at least 1, got {count}")
+    out = Path(options["out"] or project.path / "synthesized")
+    machine, mixture = project.machine(), project.mixture()
+    rng = np.random.default_rng(options["seed"])
+    drawn = draw(machine, mixture, count, rng=rng, temperature=float(options["temperature"]))
+    sources = sources_of(project)
+    names = [f"{project.name}_{i + 1:03d}" for i in range(count)]
+    part_names = fitted_part_names(project)
+    write_record(folder / "draws.zarr.zip", {"points": drawn.points, "exists": drawn.exists, "names": names})
+
+    def work(i: int) -> dict[str, Any]:
+        path = folder / "shapes" / f"{names[i]}.zarr.zip"
+        if path.is_file():
+            made = read_record(path)[0]
+        else:
+            shape = synthesize_mesh(np.asarray(drawn.points[i], np.float64), drawn.exists[i], sources)
+            made = as_record(shape)
+            write_record(path, made)
+        write_labelled(out, names[i], made, part_names, options["format"])
+        return made
+
+    measures = {}
+    for i, made in enumerate(task.workers.map(work, range(count))):
+        measures[names[i]] = {"sources": made["sources"], **made["measures"]}
+        yield task.progress("synthesize", i + 1, count, names[i])
+    with clear_disk_errors(out):
+        write_part_names(out / "labels.json", part_names)
+    write_text(out / "measures.json", json.dumps(measures, indent=1))
+    text = f"{count} shapes in {out}"
+    task.summary |= {"text": text, "count": count, "out": str(out), "names": names}
+    yield task.progress("synthesize", count, count, text, state=drawn)
+
+
+def as_record(shape: Any) -> dict[str, Any]:
+    """A ``SynthesizedShape`` as plain arrays and numbers, triangles sorted by part so that any format keeps them."""
+    order = np.argsort(shape.part, kind="stable")
+    return {
+        "vertices": np.asarray(shape.vertices, np.float64), "triangles": np.asarray(shape.triangles, np.int32)[order],
+        "part": np.asarray(shape.part, np.int32)[order], "part_names": list(shape.part_names),
+        "sources": list(shape.sources), "measures": json.loads(json.dumps(shape.measures, default=float)),
+    }  # fmt: skip
+
+
+def write_labelled(out: Path, name: str, made: dict[str, Any], part_names: PartNames, ending: str) -> None:
+    """Write a mesh and its ``.seg`` (one label id per triangle, in the mesh's order) into ``out``."""
+    from shapeforge.collection.meshes import write_mesh
+
+    path = out / f"{name}.{ending}"
+    colours = part_colours(len(made["part_names"]))
+    with clear_disk_errors(path):
+        out.mkdir(parents=True, exist_ok=True)
+        write_mesh(path, made["vertices"], made["triangles"], made["part"], tuple(made["part_names"]), colours)
+        write_seg(out / f"{name}.seg", made["part"], part_names)
+
+
+def part_colours(count: int) -> np.ndarray:
+    """Colours (count, 3) uint8 of the first ``count`` parts."""
+    return PART_COLOURS[np.arange(count) % len(PART_COLOURS)]
+
+
+def sources_of(project: Project) -> Any:
+    """The fitted shapes as a store of parts, read from the project on demand."""
+    from shapeforge.synthesis.sources import make_sources
+
+    names = project.fit_names
+    positions = np.stack([np.asarray(project.positions(name), np.float64) for name in names])
+    hierarchy = project.hierarchy()
+
+    return make_sources(
+        names, lambda t: project.shapes.named(names[t]), FittedLabels(project, names), positions,
+        hierarchy.top.label, tuple(hierarchy.top.part_names),
+    )  # fmt: skip
+
+
+class FittedLabels(Sequence):
+    """Fitted face labels of the shapes, read one at a time."""
+
+    def __init__(self, project: Project, names: Sequence[str]) -> None:
+        self._project, self._names = project, names
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        return self._project.face_labels(self._names[index])
+
+
+def fitted_part_names(project: Project) -> PartNames:
+    """Names and ids of the parts of the fit (proposed parts have ids from 0)."""
+    part_names, fitted = project.part_names, project.hierarchy().top.part_names
+    if part_names is not None and part_names.names == tuple(fitted):
+        return part_names
+    return PartNames(tuple(range(len(fitted))), tuple(fitted))

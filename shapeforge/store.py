@@ -1,0 +1,392 @@
+"""A project on disk: a folder that any of its readers may open at any time, and one process may write.
+
+::
+
+    project.json                 version, names, problems, part names, what each stage did with which options
+    shapeforge.log               what happened when, with the tracebacks the command line hides
+    meshes/<name>.<ext>          copies of the input files
+    shapes/<name>.zarr.zip       one prepared shape: mesh, samples, descriptors, patches (zarr v3 in a zip)
+    labels/<name>.zarr.zip       part of every face record, as given or painted
+    groups.zarr.zip              groups and exemplars
+    <stage>/<key>/…              results of the fit and of everything after it, by the key of what they came from
+
+Every file is written beside its place and renamed into it.  Metadata is JSON, arrays are zarr, nothing is unpickled.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import threading
+import time
+import traceback
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Int
+
+from shapeforge.collection.groups import Groups
+from shapeforge.collection.labels import PartNames
+from shapeforge.collection.shape import Shape
+from shapeforge.store_arrays import (
+    ProjectError,
+    read_arrays,
+    read_json,
+    read_record,
+    write_arrays,
+    write_record,
+    write_text,
+)
+from shapeforge.store_lock import WriterLock
+from shapeforge.store_results import Results
+
+__all__ = ["FORMAT_VERSION", "Problem", "Project", "ProjectError", "StoredShapes", "key_of"]
+
+FORMAT_VERSION = 1
+SHAPES_IN_MEMORY = 256 << 20
+"""Bytes of prepared shapes kept in memory; the shape used longest ago goes first."""
+_OWN_FILES = {"project.json", "shapeforge.log", "lock", "meshes", "shapes", "labels"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    """Something about one input file: ``error`` (it is not in the project) or ``warning`` (it is, but doubtful)."""
+
+    file: str
+    kind: Literal["error", "warning"]
+    reason: str
+    remedy: str = ""
+
+    def __str__(self) -> str:
+        text = f"{self.file}: {self.reason.rstrip('.')}."
+        return f"{text} {self.remedy.rstrip('.')}." if self.remedy else text
+
+
+def key_of(*parts: Any) -> str:
+    """A short hash of numbers, strings, arrays and JSON values: equal content, equal key."""
+    digest = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, np.ndarray):
+            digest.update(f"{part.dtype.str}{part.shape}".encode())
+            digest.update(np.ascontiguousarray(part).tobytes())
+        elif isinstance(part, bytes):
+            digest.update(part)
+        else:
+            digest.update(json.dumps(part, sort_keys=True).encode())
+        digest.update(b"\0")
+    return digest.hexdigest()[:16]
+
+
+class StoredShapes(Sequence):
+    """The prepared shapes of a project, read one at a time; the most recently used stay in memory."""
+
+    def __init__(self, project: Project, capacity: int = SHAPES_IN_MEMORY) -> None:
+        self._project, self._capacity = project, capacity
+        self._kept: OrderedDict[str, tuple[str, Shape, int]] = OrderedDict()
+        self._mutex = threading.Lock()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the shapes, in order."""
+        return self._project.names
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __getitem__(self, index: int) -> Shape:
+        """Shape number ``index`` (negative counts from the end); ``IndexError`` when there is none."""
+        return self.named(self.names[index])
+
+    def __iter__(self) -> Iterator[Shape]:
+        return (self.named(name) for name in self.names)
+
+    def named(self, name: str) -> Shape:
+        """The shape called ``name``; :class:`ProjectError` when there is none or its file is damaged."""
+        key = self._project.shape_record(name)["key"]
+        with self._mutex:
+            found = self._kept.get(name)
+            if found is not None and found[0] == key:
+                self._kept.move_to_end(name)
+                return found[1]
+        shape, _ = read_record(self._project.shape_path(name))
+        size = sum(array.nbytes for array in vars(shape).values() if isinstance(array, np.ndarray))
+        size += shape.mesh.vertices.nbytes + 9 * shape.mesh.triangles.nbytes  # with what the mesh caches
+        with self._mutex:
+            self._kept[name] = (key, shape, size)
+            while sum(entry[2] for entry in self._kept.values()) > self._capacity and len(self._kept) > 1:
+                self._kept.popitem(last=False)
+        return shape
+
+
+class Project(Results):
+    """A project folder.  Reading needs no lock; whatever writes takes it (see :meth:`writing`)."""
+
+    def __init__(self, path: Path, metadata: dict[str, Any]) -> None:
+        self.path = path
+        self._metadata = metadata
+        self._mutex = threading.RLock()
+        self._lock = WriterLock(path / "lock")
+        self.shapes = StoredShapes(self)
+
+    @classmethod
+    def create(cls, path: str | Path) -> Project:
+        """Make a new project in an absent or empty folder; :class:`ProjectError` when something else is there."""
+        path = Path(path)
+        if (path / "project.json").exists():
+            raise ProjectError(path, "is a project already", "Open it, or name another folder")
+        if path.exists() and not path.is_dir():
+            raise ProjectError(path, "is a file, a project is a folder", "Name another folder")
+        if path.is_dir() and any(entry.name not in _OWN_FILES for entry in path.iterdir()):
+            raise ProjectError(path, "has other files in it", "Name a new or an empty folder")
+        metadata = {"format": "shapeforge project", "version": FORMAT_VERSION, "name": path.resolve().name}
+        metadata |= {"shapes": {}, "problems": [], "part_names": None, "labels": {}, "groups": None, "stages": {}}
+        project = cls(path, metadata)
+        write_text(path / "project.json", json.dumps(metadata, indent=1))
+        return project
+
+    @classmethod
+    def open(cls, path: str | Path) -> Project:
+        """Open a project folder; :class:`ProjectError` names what is wrong and the remedy."""
+        path = Path(path)
+        if not path.exists():
+            raise ProjectError(path, "does not exist", f"Make it: shapeforge import {path} MESHES")
+        if not (path / "project.json").is_file():
+            raise ProjectError(path, "is not a shapeforge project (no project.json)", "Name a project's folder")
+        return cls(path, _read_metadata(path))
+
+    @classmethod
+    def open_or_create(cls, path: str | Path) -> Project:
+        """Open the project, or make it when there is none yet."""
+        return cls.open(path) if (Path(path) / "project.json").exists() else cls.create(path)
+
+    @property
+    def name(self) -> str:
+        """Name of the project: its folder's when it was made."""
+        return self._metadata["name"]
+
+    # -- writing ---------------------------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def writing(self) -> Iterator[None]:
+        """Hold the project for writing; :class:`ProjectError` while another process (or object) writes it."""
+        if self._lock.acquire():
+            try:
+                with self._mutex:
+                    self._metadata = _read_metadata(self.path)  # another process may have written since
+            except BaseException:
+                self._lock.release()
+                raise
+        try:
+            yield
+        finally:
+            self._lock.release()
+
+    @contextlib.contextmanager
+    def _changing(self) -> Iterator[dict[str, Any]]:
+        """Change a copy of the metadata; it counts once it is on disk."""
+        with self.writing(), self._mutex:
+            changed = json.loads(json.dumps(self._metadata))
+            yield changed
+            write_text(self.path / "project.json", json.dumps(changed, indent=1))
+            self._metadata = changed
+
+    def log(self, text: str, error: BaseException | None = None) -> None:
+        """Add a line (and the traceback of ``error``) to ``shapeforge.log``; a full disk loses only the line."""
+        stamp = time.strftime("%Y-%m-%d %H:%M:%S")
+        lines = [f"{stamp} {text}"] + (traceback.format_exception(error) if error else [])
+        with contextlib.suppress(OSError), open(self.path / "shapeforge.log", "a", encoding="utf-8") as file:
+            file.write("\n".join(line.rstrip("\n") for line in lines) + "\n")
+
+    # -- shapes ----------------------------------------------------------------------------------------------------
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the shapes, sorted: the order does not depend on when each was imported."""
+        return tuple(sorted(self._metadata["shapes"]))
+
+    def index(self, name: str) -> int:
+        """Number of the shape called ``name``; :class:`ProjectError` when there is none."""
+        self.shape_record(name)
+        return self.names.index(name)
+
+    def shape_record(self, name: str) -> dict[str, Any]:
+        """What is known of a shape without reading it: key, file, source, n_faces, n_triangles, notes."""
+        try:
+            return self._metadata["shapes"][name]
+        except KeyError:
+            known = ", ".join(self.names[:5]) + (", …" if len(self.names) > 5 else "")
+            raise ProjectError(self.path, f"has no shape {name!r}", f"Its shapes: {known or 'none yet'}") from None
+
+    def shape_path(self, name: str) -> Path:
+        """Where the prepared shape lies."""
+        return self.path / "shapes" / f"{name}.zarr.zip"
+
+    def mesh_path(self, name: str) -> Path:
+        """The project's copy of the shape's input file."""
+        return self.path / self.shape_record(name)["file"]
+
+    def changed_sources(self) -> list[str]:
+        """Names of the shapes whose input file, where it still exists, is no longer as it was read."""
+        changed = []
+        for name in self.names:
+            record = self.shape_record(name)
+            source = Path(record["source"])
+            with contextlib.suppress(OSError):
+                stamp = source.stat()
+                if (stamp.st_size, stamp.st_mtime_ns) != (record["size"], record["modified"]):
+                    if hashlib.sha256(source.read_bytes()).hexdigest() != record["sha256"]:
+                        changed.append(name)
+        return changed
+
+    def save_shape(self, shape: Shape, key: str) -> None:
+        """Write one prepared shape; it joins the project with :meth:`add_shapes`."""
+        write_record(self.shape_path(shape.name), shape, {"key": key})
+
+    def add_shapes(self, records: Mapping[str, Mapping[str, Any]]) -> None:
+        """Add (or replace) shapes whose arrays are written; labels of a changed file are dropped."""
+        with self._changing() as metadata:
+            for name, record in records.items():
+                old = metadata["shapes"].get(name)
+                if old is not None and old["n_faces"] != record["n_faces"]:
+                    metadata["labels"].pop(name, None)
+                metadata["shapes"][name] = dict(record)
+
+    def remove_shapes(self, names: Sequence[str]) -> None:
+        """Take shapes out of the project (their mesh copies and arrays are deleted)."""
+        files = [path for name in names for path in (self.mesh_path(name), self.shape_path(name))]
+        with self._changing() as metadata:
+            for name in names:
+                del metadata["shapes"][name]
+                metadata["labels"].pop(name, None)
+        for path in files:
+            path.unlink(missing_ok=True)
+
+    @property
+    def problems(self) -> list[Problem]:
+        """Files not read, and files that are doubtful, each with reason and remedy."""
+        return [Problem(**problem) for problem in self._metadata["problems"]]
+
+    def set_problems(self, problems: Sequence[Problem], about: Sequence[str]) -> None:
+        """Replace all problems of the files ``about`` by ``problems``."""
+        with self._changing() as metadata:
+            kept = [problem for problem in metadata["problems"] if problem["file"] not in set(about)]
+            metadata["problems"] = kept + [dataclasses.asdict(problem) for problem in problems]
+
+    # -- labels and groups -----------------------------------------------------------------------------------------
+
+    @property
+    def part_names(self) -> PartNames | None:
+        """Parts of the family, None before any label is known."""
+        stored = self._metadata["part_names"]
+        return PartNames(tuple(stored["ids"]), tuple(stored["names"])) if stored else None
+
+    def set_part_names(self, part_names: PartNames) -> None:
+        """Name the parts; parts may be added or renamed, labels keep their part index."""
+        with self._changing() as metadata:
+            metadata["part_names"] = {"ids": list(part_names.ids), "names": list(part_names.names)}
+
+    @property
+    def labelled(self) -> tuple[str, ...]:
+        """Names of the shapes that have labels."""
+        return tuple(name for name in self.names if name in self._metadata["labels"])
+
+    def label_key(self, name: str) -> str | None:
+        """Key of the labels of a shape, None without labels."""
+        return self._metadata["labels"].get(name)
+
+    def labels(self, name: str) -> Int[np.ndarray, " F"] | None:
+        """Part index per face record (n_faces,), -1 where nothing is said; None when the shape has no labels."""
+        self.shape_record(name)
+        if name not in self._metadata["labels"]:
+            return None
+        arrays, _ = read_arrays(self.path / "labels" / f"{name}.zarr.zip")
+        return arrays["faces"]
+
+    def set_labels(self, name: str, faces: Int[np.ndarray, " F"] | None) -> None:
+        """Label a shape: part index per face record, -1 unlabelled; None takes its labels away."""
+        if faces is None:
+            with self._changing() as metadata:
+                metadata["labels"].pop(name, None)
+            return
+        faces = np.asarray(faces, np.int32)
+        n_faces = self.shape_record(name)["n_faces"]
+        n_parts = len(self.part_names or ())
+        if len(faces) != n_faces:
+            raise ValueError(f"faces: wanted one label for each of the {n_faces} faces of {name}, got {len(faces)}")
+        if len(faces) and (faces.min() < -1 or faces.max() >= n_parts):
+            raise ValueError(f"faces: wanted -1 to {n_parts - 1}, got {faces.min()} to {faces.max()}; name parts first")
+        with self.writing():
+            write_arrays(self.path / "labels" / f"{name}.zarr.zip", {"faces": faces})
+            with self._changing() as metadata:
+                metadata["labels"][name] = key_of(faces)
+
+    @property
+    def groups(self) -> Groups | None:
+        """Groups and exemplars, for the shapes of now: shapes added since have group -1.  None before grouping."""
+        if self._metadata["groups"] is None:
+            return None
+        groups, _ = read_record(self.path / "groups.zarr.zip")
+        return groups if groups.names == self.names else _regrouped(groups, self.names)
+
+    @property
+    def groups_key(self) -> str | None:
+        """Key of groups and exemplars, None before grouping."""
+        return self._metadata["groups"]
+
+    def set_groups(self, groups: Groups) -> None:
+        """Replace the groups; ``ValueError`` when they are not about the shapes of this project."""
+        if groups.names != self.names:
+            raise ValueError(f"groups: wanted the {len(self.names)} shapes of {self.name}, got {len(groups.names)}")
+        with self.writing():
+            write_record(self.path / "groups.zarr.zip", groups)
+            with self._changing() as metadata:
+                metadata["groups"] = key_of(list(groups.names), groups.group, groups.exemplars)
+
+    # -- what the stages did ---------------------------------------------------------------------------------------
+
+    @property
+    def stage_records(self) -> dict[str, dict[str, Any]]:
+        """Stage -> key, options, state ("partial" or "done"), finished, summary."""
+        return json.loads(json.dumps(self._metadata["stages"]))
+
+    def stage_record(self, stage: str) -> dict[str, Any] | None:
+        """The record of one stage, None when it was never run."""
+        record = self._metadata["stages"].get(stage)
+        return dict(record) if record else None
+
+    def set_stage_record(self, stage: str, record: Mapping[str, Any] | None) -> None:
+        """Write down what a stage did; None forgets it."""
+        with self._changing() as metadata:
+            metadata["stages"].pop(stage, None)
+            if record is not None:
+                metadata["stages"][stage] = dict(record)
+
+
+def _read_metadata(path: Path) -> dict[str, Any]:
+    metadata = read_json(path / "project.json")
+    if not isinstance(metadata, dict) or metadata.get("format") != "shapeforge project":
+        raise ProjectError(path, "project.json is not a shapeforge project's", "Name a project's folder")
+    if metadata.get("version") != FORMAT_VERSION:
+        problem = f"has format version {metadata.get('version')}, this shapeforge reads {FORMAT_VERSION}"
+        raise ProjectError(path, problem, "Update shapeforge, or import the meshes into a new project")
+    return metadata
+
+
+def _regrouped(groups: Groups, names: tuple[str, ...]) -> Groups:
+    """The same groups for other shapes: new ones belong to none; groups whose exemplar is gone are dissolved."""
+    where = {name: t for t, name in enumerate(groups.names)}
+    now = {name: t for t, name in enumerate(names)}
+    kept = [g for g, exemplar in enumerate(groups.exemplars) if groups.names[exemplar] in now]
+    renumber = {g: i for i, g in enumerate(kept)}
+    group = [renumber.get(int(groups.group[where[name]]), -1) if name in where else -1 for name in names]
+    embedding = np.zeros((len(names), 2), groups.embedding.dtype)
+    for name, t in now.items():
+        if name in where:
+            embedding[t] = groups.embedding[where[name]]
+    exemplars = [now[groups.names[groups.exemplars[g]]] for g in kept]
+    return Groups(names, np.array(group, np.int64), np.array(exemplars, np.int64), embedding)

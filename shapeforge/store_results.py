@@ -1,0 +1,213 @@
+"""What the stages from the fit on have found, read from a project: the half of a project that no user edits."""
+
+from __future__ import annotations
+
+import shutil
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from shapeforge.store_arrays import ProjectError, read_arrays, read_record, write_arrays, write_record
+
+
+class Results:
+    """Results of a project by stage and key: ``<stage>/<key>/<name>.zarr.zip``.
+
+    A stage that is run again with other inputs writes into another folder, so the old results stay readable until the
+    new ones are complete; then the old folder goes.
+    """
+
+    path: Path
+
+    def stage_record(self, stage: str) -> dict[str, Any] | None:
+        """The record of one stage, None when it was never run (see the project)."""
+        raise NotImplementedError
+
+    # -- files -----------------------------------------------------------------------------------------------------
+
+    def result_folder(self, stage: str, key: str) -> Path:
+        """Where a stage with this key keeps its results."""
+        return self.path / stage / key
+
+    def current_folder(self, stage: str) -> Path | None:
+        """Folder of the last complete results of a stage, None before there are any."""
+        record = self.stage_record(stage)
+        folder = self.result_folder(stage, record["result"]) if record and record.get("result") else None
+        return folder if folder is not None and folder.is_dir() else None
+
+    def drop_results(self, stage: str, keep: str | None) -> None:
+        """Delete the results of a stage, all but those of the key ``keep``."""
+        folder = self.path / stage
+        for old in folder.iterdir() if folder.is_dir() else ():
+            if old.name != keep:
+                shutil.rmtree(old, ignore_errors=True)
+
+    def clear_result(self, stage: str, key: str) -> None:
+        """Delete what an abandoned run left under this key."""
+        shutil.rmtree(self.result_folder(stage, key), ignore_errors=True)
+
+    def _read(self, stage: str, name: str) -> Any | None:
+        folder = self.current_folder(stage)
+        path = None if folder is None else folder / f"{name}.zarr.zip"
+        if path is None or not path.is_file():
+            return None
+        return read_record(path)[0]
+
+    # -- the fit ---------------------------------------------------------------------------------------------------
+
+    @property
+    def fit_stage(self) -> str:
+        """Whose fit counts: "refine" when it came after the present fit, else "fit"."""
+        refined, fit = self.stage_record("refine"), self.stage_record("fit")
+        newer = refined and fit and refined.get("result") and refined.get("of") == fit.get("result")
+        return "refine" if newer else "fit"
+
+    @property
+    def fit_id(self) -> str | None:
+        """Which fit counts, as an id that changes with it; None before a fit."""
+        record = self.stage_record(self.fit_stage) or {}
+        return record.get("result")
+
+    @property
+    def machine_id(self) -> str | None:
+        """Which machine counts, as an id that changes with it; None before ``learn``."""
+        record = self.stage_record(self.machine_stage) or {}
+        return record.get("result")
+
+    def fit(self) -> Any | None:
+        """The ``FitState`` of the last complete fit (beliefs of all shapes in memory), None before a fit."""
+        return self._read(self.fit_stage, "fit")
+
+    @property
+    def fit_names(self) -> tuple[str, ...]:
+        """Names of the shapes the fit is about, in its order (shapes imported later are not among them)."""
+        folder = self.current_folder(self.fit_stage)
+        return () if folder is None else _names_of(folder / "names.zarr.zip")
+
+    def _fitted(self, name: str) -> dict[str, Any] | None:
+        folder = self.current_folder(self.fit_stage)
+        path = None if folder is None else folder / "shapes" / f"{name}.zarr.zip"
+        if path is None or not path.is_file():
+            return None
+        stamp = path.stat()
+        return _read_fitted(path, stamp.st_mtime_ns, stamp.st_size)
+
+    def beliefs(self, name: str) -> Any | None:
+        """The ``Beliefs`` about one shape, None when it was not fitted."""
+        found = self._fitted(name)
+        return None if found is None else found["beliefs"]
+
+    def face_labels(self, name: str) -> Int[np.ndarray, " F"] | None:
+        """The fitted part of every face record (n_faces,), None when the shape was not fitted."""
+        found = self._fitted(name)
+        return None if found is None else found["labels"]
+
+    def face_probabilities(self, name: str) -> Float[np.ndarray, "F L"] | None:
+        """Probability of every part at every face record (n_faces, L), None when the shape was not fitted."""
+        found = self._fitted(name)
+        return None if found is None else found["probabilities"]
+
+    def positions(self, name: str) -> Float[np.ndarray, "K 3"] | None:
+        """Surface point that corresponds to each top-level template point (K, 3): normal coordinates, NaN absent."""
+        found = self._fitted(name)
+        return None if found is None else found["positions"]
+
+    def existence(self, name: str) -> np.ndarray | None:
+        """Which top-level template points the shape has (K,) bool, None when it was not fitted."""
+        found = self._fitted(name)
+        return None if found is None else found["existence"]
+
+    def hierarchy(self) -> Any | None:
+        """The ``Hierarchy`` of the last complete fit."""
+        return self._read(self.fit_stage, "hierarchy")
+
+    @property
+    def part_of_point(self) -> Int[np.ndarray, " K"] | None:
+        """Part index of every top-level template point (K,), None before a fit."""
+        hierarchy = self.hierarchy()
+        return None if hierarchy is None else hierarchy.top.label
+
+    def rounds(self, name: str) -> list[Float[np.ndarray, "K 3"]]:
+        """Deformed template points (K, 3) of a shape after every recorded round, float16; empty when not recorded."""
+        folder = self.current_folder(self.fit_stage)
+        names = self.fit_names
+        if folder is None or name not in names:
+            return []
+        t, found = names.index(name), []
+        for path in sorted((folder / "rounds").glob("*.zarr.zip")):
+            arrays, _ = read_arrays(path)
+            start, stop = np.concatenate([[0], np.cumsum(arrays["lengths"])])[t : t + 2]
+            found.append(arrays["deformed"][start:stop])
+        return found
+
+    # -- the machine -----------------------------------------------------------------------------------------------
+
+    @property
+    def machine_stage(self) -> str:
+        """Whose machine counts: "refine" when it came after the present machine, else "learn"."""
+        refined, learnt = self.stage_record("refine"), self.stage_record("learn")
+        newer = refined and learnt and refined.get("result") and refined.get("from") == learnt.get("result")
+        return "refine" if newer else "learn"
+
+    def machine(self) -> Any | None:
+        """The learnt ``BetaShapeMachine``, None before ``learn``."""
+        return self._read(self.machine_stage, "machine")
+
+    def observations(self) -> Any | None:
+        """The ``Observations`` the machine learned from, None before ``learn``."""
+        return self._read(self.machine_stage, "observations")
+
+    def mixture(self) -> Any | None:
+        """The ``Mixture`` that new shapes are drawn from, None before ``learn``."""
+        return self._read(self.machine_stage, "mixture")
+
+    def directions(self) -> Any | None:
+        """The ``Direction`` of every slider, None before ``learn``."""
+        return self._read(self.machine_stage, "directions")
+
+    def descriptors(self) -> tuple[tuple[str, ...], Float[np.ndarray, "T F"]] | None:
+        """Names (T,) and learnt descriptors (T, F) of the shapes, None before ``learn``."""
+        found = self._read(self.machine_stage, "descriptors")
+        return None if found is None else (tuple(found["names"]), found["values"])
+
+    def draws(self) -> dict[str, Any] | None:
+        """What ``synthesize`` drew last: points, exists, names, files, measures; None before it."""
+        return self._read("synthesize", "draws")
+
+    # -- painting --------------------------------------------------------------------------------------------------
+
+    def write_history(self, name: str, history: Any) -> None:
+        """Keep the edit history of painting a shape: arrays, numbers, strings, lists and dicts of them."""
+        write_record(self.path / "history" / f"{name}.zarr.zip", history)
+
+    def read_history(self, name: str) -> Any | None:
+        """The edit history of a shape as it was written, None when there is none or it is damaged."""
+        try:
+            return read_record(self.path / "history" / f"{name}.zarr.zip")[0]
+        except ProjectError:
+            return None
+
+
+def write_names(path: Path, names: tuple[str, ...]) -> None:
+    """Write down which shapes results are about."""
+    write_record(path, {"names": names})
+
+
+def write_round(path: Path, beliefs: tuple[Any, ...]) -> None:
+    """Record the deformed template points of every shape after a round, in float16 (1e-3 diagonals or better)."""
+    deformed = [np.asarray(belief.deformed, np.float16) for belief in beliefs]
+    lengths = np.array([len(points) for points in deformed], np.int64)
+    write_arrays(path, {"deformed": np.concatenate(deformed), "lengths": lengths})
+
+
+@lru_cache(maxsize=64)
+def _read_fitted(path: Path, modified: int, size: int) -> dict[str, Any]:
+    return read_record(path)[0]
+
+
+@lru_cache(maxsize=8)
+def _names_of(path: Path) -> tuple[str, ...]:
+    return tuple(read_record(path)[0]["names"])
