@@ -1,0 +1,308 @@
+"""Learning a Beta Shape Machine: pre-training layer by layer, then fine-tuning everything together (§5)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+from threadpoolctl import threadpool_limits
+
+from shapeforge.generative._kernels import adam_step
+from shapeforge.generative.finetuning import Batch, TopPrior, loss_and_gradient
+from shapeforge.generative.inference import Latents, decode, infer
+from shapeforge.generative.machine import BetaShapeMachine, project, recentre, start_machine
+from shapeforge.generative.observations import Observations
+from shapeforge.generative.pretraining import BATCH, pretrain_pair, pretrain_points
+
+STEPS = 1600
+"""Fine-tuning steps when no number of epochs is asked for: small families need many epochs, large ones few."""
+
+RATE = 3e-3
+DECAY = 1e-2
+"""Decoupled weight decay of Adam, on the pairwise weights only."""
+
+FEWEST_TO_VALIDATE = 10
+RAREST_SHARE = 0.1
+"""A part seen on a smaller share of the shapes than this is weighted as if it were this frequent."""
+
+
+@dataclass(frozen=True, eq=False)
+class LearnState:
+    """Where learning stands after one epoch.  Errors are mean |D - D'| over the existing points, in diagonals, through
+    a sampled H3 (in pre-training: of the layer under way, in its own units); ``held_out_error`` is NaN without a
+    validation split.  ``dead_units`` is the share of units per layer that hardly move over the shapes."""
+
+    epoch: int
+    of: int
+    phase: str
+    machine: BetaShapeMachine
+    train_error: float
+    held_out_error: float
+    first_error: float
+    dead_units: tuple[float, float, float]
+    stop_reason: str | None
+
+
+def learn_machine(
+    observations: Observations,
+    *,
+    rng: np.random.Generator,
+    epochs: int | None = None,
+    pretraining: int | None = None,
+    executor: Executor | None = None,
+    validation: float = 0.1,
+    sizes: tuple[list[int], int, int] | None = None,
+    start: BetaShapeMachine | None = None,
+    patience: int = 12,
+) -> Iterator[LearnState]:
+    """Learn a machine; one state per epoch.  The last state holds the best machine by held-out error.
+
+    ``epochs`` of fine-tuning (default: enough for about 1600 steps) and ``pretraining`` epochs per layer; a share
+    ``validation`` of the shapes is held out unless there are fewer than 10.  ``start`` continues from a machine (its
+    pre-training is skipped).  ``executor`` (threads) works on the parts side by side; the result is the same bytes.
+    ``patience`` counts checks of the held-out error without a gain before stopping early.
+
+    Raises ValueError with fewer than two shapes.
+    """
+    if observations.n_shapes < 2:
+        raise ValueError(
+            f"observations: wanted at least 2 shapes, got {observations.n_shapes}; "
+            "usually most shapes of the family were left out before learning"
+        )
+    run = map if executor is None else executor.map
+    train, held_out = _split(observations, validation, rng)
+    batch_size = min(BATCH, train.n_shapes)
+    steps = -(-train.n_shapes // batch_size)
+    n_epochs = max(20, -(-STEPS // steps)) if epochs is None else epochs
+    n_first = max(10, min(200, -(-150 // steps))) if pretraining is None else pretraining
+    total = n_epochs + (0 if start is not None else 3 * n_first)
+    done = 0
+
+    if start is not None:
+        machine = start.copy()
+    else:
+        with threadpool_limits(1, "blas"):
+            machine = start_machine(observations, rng=rng, sizes=sizes)
+        for phase, machine, error in _pretrain(machine, train, rng, n_first, run):  # noqa: B020
+            done += 1
+            yield LearnState(done, total, phase, machine, error, np.nan, error, (np.nan,) * 3, None)
+
+    tuner = _Tuner.start(machine, train, rng, n_epochs * steps)
+    best, waited, every = None, 0, max(1, round(25 / steps))
+    for epoch in range(1, n_epochs + 1):
+        with threadpool_limits(1, "blas"):
+            tuner.epoch(train, batch_size, rng, run)
+            if epoch % every and epoch < n_epochs:
+                continue
+            state = _measure(tuner.machine, train, held_out, done + epoch, total)
+        if best is None or _score(state) < _score(best):
+            best, waited = state, 0
+        else:
+            waited += 1
+        stop = None
+        if held_out is not None and waited >= patience:
+            stop = f"The error on held-out shapes has not fallen for {waited * every} epochs."
+        elif epoch == n_epochs:
+            stop = "All epochs are done."
+        if stop is None:
+            yield state
+            continue
+        with threadpool_limits(1, "blas"):
+            finished = _calibrate(best.machine, observations, held_out)
+        yield replace(best, epoch=state.epoch, machine=finished, stop_reason=stop)
+        return
+
+
+def reconstruction_error(
+    machine: BetaShapeMachine, observations: Observations, values: Float[np.ndarray, "T K 3"]
+) -> float:
+    """Mean |D - D'| per coordinate over the points that exist, in diagonals."""
+    counts = observations.exists[:, observations.part]
+    residual = np.abs(values - observations.values).mean(axis=2)
+    return float((residual * counts).sum() / max(counts.sum(), 1) * machine.diagonals_per_unit)
+
+
+def sampled_reconstruction(
+    machine: BetaShapeMachine, observations: Observations, *, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "T K 3"], Latents]:
+    """Every shape back through one binary sample of its H3, and its latents."""
+    latents = infer(machine, observations.values, observations.exists)
+    sample = (rng.random(latents.hidden3.shape) < latents.hidden3).astype(latents.hidden3.dtype)
+    return decode(machine, sample), latents
+
+
+def _split(observations: Observations, share: float, rng: np.random.Generator):
+    """(training shapes, held-out shapes or None)."""
+    n = observations.n_shapes
+    if n < FEWEST_TO_VALIDATE or share <= 0:
+        return observations, None
+    order = rng.permutation(n)
+    held = min(max(2, round(share * n)), 200)
+    return observations.subset(np.sort(order[held:])), observations.subset(np.sort(order[:held]))
+
+
+def _pretrain(machine, train, rng, epochs, run):
+    """Yield (phase, machine, error) per epoch of the three layers."""
+    layers = pretrain_points(machine, train, rng=rng, epochs=epochs, run=run)
+    for machine, error in _one_thread(layers):
+        yield "layer1", machine, error * machine.diagonals_per_unit
+    names = (("bias1", "weights12", "bias2", "centre1", "centre2"), ("bias2", "weights23", "bias3", "centre2", "centre3"))
+    lower = infer(machine, train.values, train.exists, rounds=1).hidden1
+    machine = recentre(machine, np.clip(lower.mean(axis=0), 0.02, 0.98), machine.centre2, machine.centre3)
+    for phase, (low_bias, weights, bias, low_centre, centre) in zip(("layer2", "layer3"), names, strict=True):
+        before = machine
+        pair = pretrain_pair(lower, len(getattr(machine, bias)), rng=rng, epochs=epochs)
+        for arrays, error in _one_thread(pair):
+            # The lower bias learned here belongs to a machine without the layer below it: for H1 the points' own
+            # bias stays; for H2 it is the bias learned one layer down.
+            machine = replace(
+                before,
+                **{weights: arrays["weights"], bias: arrays["upper_bias"], centre: arrays["upper_centre"]},
+                **{low_centre: arrays["lower_centre"]},
+            )
+            if low_centre == "centre1":
+                machine = replace(recentre(before, arrays["lower_centre"], before.centre2, before.centre3), **{
+                    weights: arrays["weights"], bias: arrays["upper_bias"], centre: arrays["upper_centre"],
+                })  # fmt: skip
+            yield phase, machine, error
+        moved = lower - arrays["lower_centre"]
+        lower = 1 / (1 + np.exp(-(arrays["upper_bias"] + moved @ arrays["weights"])))
+
+
+def _one_thread(steps: Iterator) -> Iterator:
+    """The same iterator with one BLAS thread inside each step (and none of its settings outside)."""
+    while True:
+        with threadpool_limits(1, "blas"):
+            item = next(steps, None)
+        if item is None:
+            return
+        yield item
+
+
+class _Tuner:
+    """Parameters and Adam moments of fine-tuning, changed in place."""
+
+    def __init__(self, machine: BetaShapeMachine, prior: TopPrior, n_steps: int):
+        self.machine, self.prior, self.n_steps, self.step = machine, prior, n_steps, 0
+        self.moments: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+
+    @classmethod
+    def start(cls, machine: BetaShapeMachine, train: Observations, rng: np.random.Generator, n_steps: int) -> _Tuner:
+        latents = infer(machine, train.values, train.exists)
+        means = [np.clip(layer.mean(axis=0), 0.05, 0.95) for layer in (latents.hidden1, latents.hidden2, latents.hidden3)]
+        machine = recentre(machine, *means)
+        prior = TopPrior(np.zeros_like(machine.bias3), np.zeros_like(machine.existence_top))
+        return cls(project(machine).copy(), prior, n_steps)
+
+    def epoch(self, train: Observations, batch_size: int, rng: np.random.Generator, run: Callable) -> None:
+        """One pass over the shapes, then the projection to positive parameters."""
+        share = np.maximum(train.exists.mean(axis=0), RAREST_SHARE)
+        order = rng.permutation(train.n_shapes)
+        for first in range(0, train.n_shapes, batch_size):
+            chosen = order[first : first + batch_size]
+            values = blend(train.values[chosen], train.exists[chosen], rng=rng)
+            uniform = rng.random((len(chosen), len(self.machine.bias3)), dtype=np.float32)
+            batch = Batch(values, train.exists[chosen], 1 / share, uniform=uniform)
+            _, gradient = loss_and_gradient(self.machine, self.prior, batch, run)
+            self._update(gradient)
+        positive = project(self.machine)
+        for name in ("weights", "rest"):
+            for mine, new in zip(getattr(self.machine, name), getattr(positive, name), strict=True):
+                mine[...] = new
+
+    def _update(self, gradient: dict) -> None:
+        self.step += 1
+        # Warm up over the first steps (the moments know nothing yet), then fall to zero along a cosine.
+        rate = RATE * min(1, self.step / 20) * 0.5 * (1 + np.cos(np.pi * min(self.step / self.n_steps, 1)))
+        for name, value in gradient.items():
+            owner, field = (self.prior, name[6:]) if name.startswith("prior_") else (self.machine, name)
+            target = getattr(owner, field)
+            pairs = zip(target, value, strict=True) if isinstance(target, tuple) else [(target, value)]
+            for index, (array, slope) in enumerate(pairs):
+                key = f"{name}.{index}"
+                if key not in self.moments:
+                    self.moments[key] = (np.zeros(array.size, np.float32), np.zeros(array.size, np.float32))
+                decay = DECAY if name.startswith("weights") else 0.0
+                # Ā is of the order of the concentration, weights and biases of 1: its steps must be larger.
+                scale = 5.0 if name == "rest" else 1.0
+                adam_step(
+                    array.reshape(-1), np.ascontiguousarray(slope, np.float32).reshape(-1), *self.moments[key],
+                    scale * rate, decay, self.step,
+                )  # fmt: skip
+
+
+def blend(
+    values: Float[np.ndarray, "n K 3"], exists: Bool[np.ndarray, "n L"], *, rng: np.random.Generator, most: float = 0.5
+) -> Float[np.ndarray, "n K 3"]:
+    """Every shape moved a random share of the way (up to ``most``, or ``most``/2 away) to another with the same parts.
+
+    A family of some tens of shapes cannot fill its own space; the straight lines between its members, slightly
+    prolonged, nearly always belong to it.
+    """
+    keys = exists @ (1 << np.arange(exists.shape[1], dtype=np.int64) % 62)
+    partner = np.arange(len(values))
+    for key in np.unique(keys):
+        members = np.flatnonzero(keys == key)
+        partner[members] = rng.permutation(members)
+    share = rng.uniform(-most / 2, most, (len(values), 1, 1)).astype(values.dtype)
+    return np.clip(values + share * (values[partner] - values), 0.02, 0.98)
+
+
+def _measure(
+    machine: BetaShapeMachine, train: Observations, held_out: Observations | None, epoch: int, of: int
+) -> LearnState:
+    some = train.subset(np.arange(min(train.n_shapes, 200)))
+    # The same draws at every check, so that checks can be compared.
+    again, latents = sampled_reconstruction(machine, some, rng=np.random.default_rng(0))
+    train_error, held_error = reconstruction_error(machine, some, again), float("nan")
+    judged, judged_latents = some, latents
+    if held_out is not None:
+        again, judged_latents = sampled_reconstruction(machine, held_out, rng=np.random.default_rng(0))
+        held_error, judged = reconstruction_error(machine, held_out, again), held_out
+    first = reconstruction_error(machine, judged, decode(machine, judged_latents))
+    return LearnState(
+        epoch, of, "fine-tune", machine.copy(), train_error, held_error, first, dead_units(machine, latents), None
+    )
+
+
+def dead_units(machine: BetaShapeMachine, latents: Latents) -> tuple[float, float, float]:
+    """Share of units per layer whose probability varies by less than .01 (standard deviation) over the shapes.
+
+    Units of parts that a shape lacks are not counted for that shape.
+    """
+    shares = []
+    first = []
+    for index, slot in enumerate(machine.units_of_part):
+        present = latents.hidden1[latents.exists[:, index], slot]
+        if len(present) > 1:
+            first.append(present.std(axis=0))
+    spreads = [np.concatenate(first) if first else np.ones(1), latents.hidden2.std(axis=0), latents.hidden3.std(axis=0)]
+    shares = [float((spread < 0.01).mean()) for spread in spreads]
+    return shares[0], shares[1], shares[2]
+
+
+def _score(state: LearnState) -> float:
+    return state.held_out_error if np.isfinite(state.held_out_error) else state.train_error
+
+
+def _calibrate(
+    machine: BetaShapeMachine, observations: Observations, held_out: Observations | None
+) -> BetaShapeMachine:
+    """The machine with ``spread`` measured: what H3's probabilities leave unexplained, on held-out shapes if any."""
+    judged = observations if held_out is None else held_out
+    latents = infer(machine, judged.values, judged.exists)
+    residual = (decode(machine, latents.hidden3) - judged.values) * machine.diagonals_per_unit
+    counts = judged.exists[:, judged.part][..., None].astype(float)
+    # Few shapes judge each point: lean on the part's own mean square as if on four more shapes.
+    square = (residual.astype(float) ** 2 * counts).sum(axis=0)
+    seen = counts.sum(axis=0)
+    spread = np.full(machine.spread.shape, 0.02)
+    everywhere = float(square.sum() / max(3 * seen.sum(), 1))
+    for members in machine.points_of_part:
+        own = float(square[members].sum() / (3 * seen[members].sum())) if seen[members].sum() else everywhere
+        spread[members] = np.sqrt((square[members] + 4 * own) / (seen[members] + 4))
+    return replace(machine, spread=np.maximum(spread, 1e-3).astype(np.float32))
+

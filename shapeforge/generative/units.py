@@ -1,0 +1,197 @@
+"""What is worth a slider: directions of the top layer, bundles of units, single units (§6, Figure 7).
+
+Single units mostly move a shape by less than one can see, so everything is ranked by what it does: the measured
+movement of the points while the slider goes from its 5th to its 95th percentile over the family.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from shapeforge.generative.draw import Mixture
+from shapeforge.generative.inference import Latents, decode, descend, expected_values, infer, logit, sigmoid
+from shapeforge.generative.machine import BetaShapeMachine
+from shapeforge.generative.observations import Observations
+
+BINS = 16
+BIG_MOVE = 0.4
+"""A part is named in a caption when its points move at least this share of what the part that moves most does."""
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """One slider.  Its value is added to the logits of a layer along ``vector`` (H3 for kind "direction", H2 for
+    "bundle" and "unit"); 0 leaves a shape as it is.
+
+    ``low`` and ``high`` are the 5th and 95th percentile over the training shapes, relative to their median;
+    ``histogram`` (b,) counts the shapes between ``edges`` (b+1,).  ``moves`` (K,) is how far each point goes, in
+    diagonals, from low to high; ``parts`` the names of the parts that move most.
+    """
+
+    name: str
+    caption: str
+    kind: str
+    vector: Float[np.ndarray, " O"]
+    low: float
+    high: float
+    histogram: Float[np.ndarray, " b"]
+    edges: Float[np.ndarray, " e"]
+    moves: Float[np.ndarray, " K"]
+    parts: tuple[str, ...]
+
+    @property
+    def heat(self) -> Float[np.ndarray, " K"]:
+        """``moves`` relative to the point that moves most, in [0, 1]: for colouring."""
+        return self.moves / max(float(self.moves.max()), 1e-12)
+
+    @property
+    def size(self) -> float:
+        """Mean movement of the points from low to high, in diagonals."""
+        return float(self.moves.mean())
+
+
+def directions(
+    machine: BetaShapeMachine, mixture: Mixture, observations: Observations, count: int = 8
+) -> list[Direction]:
+    """The ``count`` directions of the top layer that change shapes most, the most effective first.
+
+    Principal directions of what the family's shapes do while their parts stay the same: the positions that the machine
+    gives back are decomposed within each combination of parts, and a direction is the change of H3's logits that goes
+    along with one principal component.  Deterministic, signs included (the part that moves most grows or rises).
+    """
+    latents = infer(machine, observations.values, observations.exists)
+    logits = np.clip(logit(latents.hidden3), -6, 6).astype(float)
+    decoded = decode(machine, latents.hidden3)
+    counted = observations.exists[:, observations.part][..., None]
+    flat = (decoded.astype(float) * counted).reshape(len(decoded), -1)
+    logits_within, flat_within = _within_patterns(logits, observations.exists), _within_patterns(flat, observations.exists)
+    left, strength, right = np.linalg.svd(flat_within, full_matrices=False)
+    typical = _typical_shape(latents, logits_within)
+    found = []
+    for index in range(min(2 * count, int((strength > 1e-4 * strength[0]).sum()))):
+        scores = left[:, index] * strength[index] * _sign(right[index])
+        vector = logits_within.T @ scores / max(float(scores @ scores), 1e-20)
+        vector /= max(float(np.linalg.norm(vector)), 1e-12)
+        found.append(_direction(machine, typical, vector, logits_within @ vector, "direction"))
+    found.sort(key=lambda direction: -direction.size)
+    return [_named(direction, index) for index, direction in enumerate(found[:count])]
+
+
+def bundles(machine: BetaShapeMachine, observations: Observations, count: int = 8) -> list[Direction]:
+    """The ``count`` units of H2, each with the units of H1 that it drives (Figure 7), that change shapes most."""
+    latents = infer(machine, observations.values, observations.exists)
+    logits = np.clip(logit(latents.hidden2), -6, 6).astype(float)
+    centred = _within_patterns(logits, observations.exists)
+    typical = _typical_shape(latents, centred)
+    swing = np.percentile(centred, 95, axis=0) - np.percentile(centred, 5, axis=0)
+    reach = swing * np.abs(machine.weights12).sum(axis=0)
+    found = []
+    for unit in np.argsort(-reach)[: 3 * count]:
+        vector = np.zeros(logits.shape[1])
+        vector[unit] = 1
+        found.append(_direction(machine, typical, vector, centred[:, unit], "bundle"))
+    found.sort(key=lambda direction: -direction.size)
+    return [_named(direction, index) for index, direction in enumerate(found[:count])]
+
+
+def drive(
+    machine: BetaShapeMachine,
+    base: Latents,
+    settings: Mapping[int, float],
+    exists: Bool[np.ndarray, " L"] | None = None,
+    *,
+    directions: Sequence[Direction],
+) -> Float[np.ndarray, "K 3"]:
+    """Points (K, 3) in normal coordinates of ``base`` (one shape) with sliders at ``settings`` {index: value}.
+
+    With all sliders at 0 this is the base shape through its own H1; a slider changes H1 by what the top layers' change
+    implies, so that details the top does not know stay.  ``exists`` overrides the base's parts.
+    """
+    points, _ = drive_latents(machine, base, settings, exists, directions=directions)
+    return points
+
+
+def drive_latents(
+    machine: BetaShapeMachine,
+    base: Latents,
+    settings: Mapping[int, float],
+    exists: Bool[np.ndarray, " L"] | None = None,
+    *,
+    directions: Sequence[Direction],
+) -> tuple[Float[np.ndarray, "K 3"], Latents]:
+    """As ``drive``, with the latents of the result."""
+    dtype = machine.bias1.dtype
+    present = base.exists[:1] if exists is None else exists[None]
+    steps = {"direction": np.zeros(len(machine.bias3)), "bundle": np.zeros(len(machine.bias2))}
+    for index, value in settings.items():
+        steps[directions[index].kind] += value * directions[index].vector
+    moved = _moved(machine, base[:1], steps["direction"][None].astype(dtype), steps["bundle"][None].astype(dtype))
+    latents = Latents(moved.hidden1, moved.hidden2, moved.hidden3, present)
+    return machine.to_positions(decode(machine, latents), present)[0], latents
+
+
+def _moved(machine: BetaShapeMachine, base: Latents, top_step: np.ndarray, second_step: np.ndarray) -> Latents:
+    """Latents after steps in the logits of H3 (n, O) and H2 (n, N): H1 and H2 keep what the top does not explain."""
+    top = sigmoid(np.clip(logit(base.hidden3), -6, 6) + top_step)
+    before1, before2 = descend(machine, np.clip(base.hidden3, 0.0025, 0.9975))
+    after1, after2 = descend(machine, top)
+    second = sigmoid(logit(base.hidden2) + logit(after2) - logit(before2) + second_step)
+    first_change = logit(after1) - logit(before1)
+    if second_step.any():
+        shifted = sigmoid(logit(after2) + second_step)
+        first_change = first_change + (shifted - after2) @ machine.weights12.T
+    return Latents(sigmoid(logit(base.hidden1) + first_change), second, top, base.exists)
+
+
+def _within_patterns(data: np.ndarray, exists: np.ndarray) -> np.ndarray:
+    """``data`` (T, A) minus the mean over the shapes with the same parts."""
+    _, which = np.unique(exists, axis=0, return_inverse=True)
+    means = np.stack([data[which == index].mean(axis=0) for index in range(which.max() + 1)])
+    return data - means[which]
+
+
+def _typical_shape(latents: Latents, within: np.ndarray) -> Latents:
+    """The shape nearest to the middle of the most common combination of parts, as a shape that has every part."""
+    _, which, counts = np.unique(latents.exists, axis=0, return_inverse=True, return_counts=True)
+    members = np.flatnonzero(which == counts.argmax())
+    chosen = int(members[np.linalg.norm(within[members], axis=1).argmin()])
+    one = latents[chosen]
+    return Latents(one.hidden1, one.hidden2, one.hidden3, np.ones_like(one.exists))
+
+
+def _direction(machine: BetaShapeMachine, typical: Latents, vector: np.ndarray, values: np.ndarray, kind: str) -> Direction:
+    """Measure what a vector does to a typical shape."""
+    values = values - np.median(values)
+    low, high = float(np.percentile(values, 5)), float(np.percentile(values, 95))
+    ends = []
+    for value in (low, high):
+        step = (value * vector)[None].astype(machine.bias1.dtype)
+        none2, none3 = np.zeros((1, len(machine.bias2)), step.dtype), np.zeros((1, len(machine.bias3)), step.dtype)
+        moved = _moved(machine, typical, step if kind == "direction" else none3, none2 if kind == "direction" else step)
+        ends.append(expected_values(machine, moved.hidden1)[0].astype(float))
+    moves = np.linalg.norm(ends[1] - ends[0], axis=1) * machine.diagonals_per_unit
+    counts, edges = np.histogram(values, BINS)
+    by_part = {
+        name: float(moves[members].mean())
+        for name, members in zip(machine.part_names, machine.points_of_part, strict=True)
+        if len(members)
+    }
+    ordered = sorted(by_part, key=lambda name: -by_part[name])
+    named = tuple(name for name in ordered if by_part[name] >= BIG_MOVE * by_part[ordered[0]])[:3]
+    caption = ", ".join(f"{name} {100 * by_part[name]:.1f}%" for name in named)
+    return Direction("", caption, kind, vector, low, high, counts.astype(float), edges, moves, named)
+
+
+def _named(direction: Direction, index: int) -> Direction:
+    name = f"{direction.kind.capitalize()} {index + 1}"
+    caption = f"moves {direction.caption} of the shape's size"
+    return Direction(**{**direction.__dict__, "name": name, "caption": caption})
+
+
+def _sign(component: np.ndarray) -> float:
+    """+1 or -1 such that the coordinate that changes most increases."""
+    return 1.0 if component[np.abs(component).argmax()] >= 0 else -1.0

@@ -1,0 +1,68 @@
+"""The reverse pass through the unrolled mean field, against finite differences."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from shapeforge.generative.finetuning import Batch, TopPrior, loss_and_gradient
+from tests.generative.tiny import tiny_machine
+
+
+def setting(seed):
+    rng = np.random.default_rng(seed)
+    machine, observations = tiny_machine(rng)
+    prior = TopPrior(rng.normal(size=2), rng.normal(size=(2, 2)))
+    noise = rng.uniform(-0.5, 0.5, (observations.n_shapes, 2))
+    batch = Batch(observations.values.astype(float), observations.exists, np.array([1.0, 1.5]), noise=noise)
+    return machine, prior, batch
+
+
+NAMES = [
+    "weights", "rest", "bias1", "weights12", "bias2", "weights23", "bias3", "existence_top", "prior_bias", "prior_weights",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("name", NAMES)
+def test_reverse_pass_equals_finite_differences(name, seed):
+    machine, prior, batch = setting(seed)
+    gradient = loss_and_gradient(machine, prior, batch)[1][name]
+    owner, field = (prior, name.removeprefix("prior_")) if name.startswith("prior_") else (machine, name)
+    tuples = isinstance(gradient, tuple)
+    largest = 0.0
+    for index, slope in enumerate(gradient if tuples else (gradient,)):
+        measured = np.empty(slope.shape)
+        for place in np.ndindex(slope.shape):
+            ends = []
+            for step in (1e-6, -1e-6):
+                value = getattr(owner, field)
+                arrays = [np.array(item) for item in value] if tuples else [np.array(value)]
+                arrays[index][place] += step
+                changed = replace(owner, **{field: tuple(arrays) if tuples else arrays[0]})
+                pair = (machine, changed) if owner is prior else (changed, prior)
+                ends.append(loss_and_gradient(*pair, batch)[0].loss)
+            measured[place] = (ends[0] - ends[1]) / 2e-6
+        np.testing.assert_allclose(slope, measured, atol=2e-6, rtol=2e-5)
+        largest = max(largest, float(np.abs(measured).max()))
+    assert largest > 1e-5, "a gradient that is zero everywhere proves nothing"
+
+
+def test_threads_change_no_bit():
+    machine, prior, batch = setting(3)
+    alone = loss_and_gradient(machine, prior, batch)
+    with ThreadPoolExecutor(2) as executor:
+        together = loss_and_gradient(machine, prior, batch, executor.map)
+    assert alone[0] == together[0]
+    for name in NAMES:
+        one, two = (item[1][name] if isinstance(item[1][name], tuple) else (item[1][name],) for item in (alone, together))
+        assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True)), name
+
+
+def test_sampled_top_is_binary():
+    machine, prior, batch = setting(4)
+    uniform = np.random.default_rng(0).random(batch.noise.shape)
+    sampled = loss_and_gradient(machine, prior, replace(batch, noise=None, uniform=uniform))[0]
+    mean = loss_and_gradient(machine, prior, replace(batch, noise=None))[0]
+    assert sampled.top != mean.top and sampled.first == mean.first
