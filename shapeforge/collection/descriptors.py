@@ -11,7 +11,7 @@ from jaxtyping import Float, Float32, Int
 
 from shapeforge.collection import _kernels as kernels
 from shapeforge.collection import _kernels_rays as ray_kernels
-from shapeforge.collection.points import nearest_neighbours
+from shapeforge.collection.points import nearest_neighbours, neighbour_pairs
 from shapeforge.collection.rays import first_hits
 from shapeforge.collection.shape import Mesh
 
@@ -131,13 +131,7 @@ def average_geodesic_distance(
     """
     if len(points) < 2:
         return np.zeros(len(points))
-    near = neighbours[:, :GEODESIC_NEIGHBOURS].astype(np.int64)
-    tails = np.repeat(np.arange(len(points)), near.shape[1])
-    heads = near.reshape(-1)
-    # each pair once
-    low, high = np.minimum(tails, heads), np.maximum(tails, heads)
-    pairs = np.unique(low * len(points) + high)
-    tails, heads = pairs // len(points), pairs % len(points)
+    tails, heads = neighbour_pairs(neighbours[:, :GEODESIC_NEIGHBOURS])
     gaps = kernels.bridges(points, tails, heads)
     tails, heads = np.concatenate([tails, gaps[:, 0]]), np.concatenate([heads, gaps[:, 1]])
     lengths = np.linalg.norm(points[tails] - points[heads], axis=1)

@@ -63,3 +63,11 @@ def nearest_neighbours(points: Float[np.ndarray, "P 3"], k: int) -> Int[np.ndarr
     itself = index == np.arange(len(points))[:, None]
     itself[~itself.any(axis=1), -1] = True
     return index[~itself].reshape(len(points), k).astype(np.int32)
+
+
+def neighbour_pairs(neighbours: Int[np.ndarray, "P n"]) -> tuple[Int[np.ndarray, " E"], Int[np.ndarray, " E"]]:
+    """The edges (E,), (E,) of the graph of neighbours, each pair once and the smaller index first."""
+    n_points, k = neighbours.shape
+    here, there = np.repeat(np.arange(n_points), k), neighbours.reshape(-1).astype(np.int64)
+    pairs = np.unique(np.minimum(here, there) * n_points + np.maximum(here, there))
+    return pairs // n_points, pairs % n_points
