@@ -6,6 +6,7 @@ trimesh.  Writing meshes with coloured parts is in ``mesh_files``.
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
@@ -13,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from shapeforge.collection import _kernels_text as kernels
+from shapeforge.collection import _kernels_polygons as kernels
 from shapeforge.collection.mesh_files import write_mesh
 from shapeforge.collection.records import CUT_SHORT, EXPORT_AGAIN, MeshError, Records, read_obj, read_off, read_ply
 from shapeforge.collection.shape import Mesh
@@ -109,7 +110,9 @@ def _read_triangles(path: Path, kind: str, data: bytes) -> Records:
             geometry = scene.geometry[name]
             if isinstance(geometry, trimesh.Trimesh):
                 vertices.append(geometry.vertices @ transform[:3, :3].T + transform[:3, 3])
-                triangles.append(np.asarray(geometry.faces, np.int64) + total)
+                # a mirroring node would turn its faces inside out
+                order = slice(None, None, -1 if np.linalg.det(transform[:3, :3]) < 0 else 1)
+                triangles.append(np.asarray(geometry.faces, np.int64)[:, order] + total)
                 total += len(geometry.vertices)
     except Exception as error:  # trimesh lets whatever its parsers meet escape
         reason = " ".join(str(error).split())[:120] or type(error).__name__
@@ -140,47 +143,35 @@ def repair_notes(mesh: Mesh) -> tuple[str, ...]:
 def find_meshes(paths: Iterable[str | Path]) -> list[tuple[str, Path]]:
     """(name, file) of every mesh file named or, recursively, in the folders named, sorted by name.
 
-    A shape's name is its file's stem.  Where stems collide, those shapes are named by their relative path without its
-    ending, ``/`` written ``__``; where even these collide (``a.obj`` beside ``a.ply``), with the ending.  Files named
-    outright are kept whatever their ending, so that reading them reports it.  Raises ``MeshError`` where a path does
-    not exist or nothing is found.
+    A shape's name is its file's stem.  Where stems collide, those shapes are named by their path without its ending,
+    relative to what all of ``paths`` have in common, ``/`` written ``__``; where even these collide (``a.obj`` beside
+    ``a.ply``), with the ending.  Files named outright are kept whatever their ending, so that reading them reports it.
+    Raises ``MeshError`` where a path does not exist or nothing is found.
     """
-    found: dict[Path, Path] = {}  # resolved file -> path relative to what was asked for
     asked = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
-    files: dict[Path, Path] = {}
     for path in asked:
-        if path.is_dir():
-            for file in sorted(path.rglob("*")):
-                relative = file.relative_to(path)
-                hidden = any(part.startswith((".", "__MACOSX")) for part in relative.parts)
-                if file.suffix.lower() in MESH_ENDINGS and file.is_file() and not hidden:
-                    found.setdefault(file.resolve(), relative)
-                    files.setdefault(file.resolve(), file)
-        elif path.exists():
-            found.setdefault(path.resolve(), Path(*path.parts[-2:]) if path.parent.name else Path(path.name))
-            files.setdefault(path.resolve(), path)
-        else:
+        if not path.exists():
             raise MeshError(path, "there is no such file or folder", "Check the path")
-    if not found:
+    files: dict[Path, Path] = {}  # by what they are, links followed: nothing twice
+    for path in asked:
+        inside = sorted(path.rglob("*")) if path.is_dir() else [path]
+        for file in inside:
+            hidden = any(part.startswith((".", "__MACOSX")) for part in file.relative_to(path).parts)
+            if file == path or (file.suffix.lower() in MESH_ENDINGS and file.is_file() and not hidden):
+                files.setdefault(file.resolve(), file)
+    if not files:
         where = ", ".join(str(p) for p in asked) or "nothing"
         known = ", ".join(e[1:] for e in MESH_ENDINGS)
         raise MeshError(asked[0] if asked else Path("."), f"no mesh files in {where}", f"Endings that are read: {known}")
-    names = _distinct_names(found)
-    return sorted(((names[key], files[key]) for key in found), key=lambda pair: pair[0])
+    shared = os.path.commonpath([os.path.abspath(p if p.is_dir() else p.parent) for p in asked])
+    names = _distinct_names([Path(os.path.relpath(os.path.abspath(file), shared)) for file in files.values()])
+    return sorted(zip(names, files.values(), strict=True), key=lambda pair: pair[0])
 
 
-def _distinct_names(found: dict[Path, Path]) -> dict[Path, str]:
-    """A name for each file, as short as distinctness allows."""
-    makers = (
-        lambda key: found[key].stem,
-        lambda key: "__".join(found[key].with_suffix("").parts),
-        lambda key: "__".join(found[key].parts),
-        lambda key: "__".join(key.parts[1:]),  # two folders asked for with the same inside: the full path
-    )
-    names = {key: makers[0](key) for key in found}
-    for make in makers[1:]:
-        seen = Counter(names.values())
-        if max(seen.values()) == 1:
-            break
-        names = {key: make(key) if seen[name] > 1 else name for key, name in names.items()}
+def _distinct_names(paths: list[Path]) -> list[str]:
+    """A name for each of the different relative paths, as short as distinctness allows."""
+    names = [path.stem for path in paths]
+    for longer in (["__".join(path.with_suffix("").parts) for path in paths], ["__".join(p.parts) for p in paths]):
+        uses = Counter(names)
+        names = [long if uses[name] > 1 else name for name, long in zip(names, longer, strict=True)]
     return names

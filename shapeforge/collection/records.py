@@ -6,6 +6,7 @@ degenerate ones too.  Formats: OBJ (Wavefront, appendix B), OFF (Geomview manual
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -77,50 +78,65 @@ def read_obj(path: Path, data: bytes) -> Records:
     return Records(vertices, corners, counts)
 
 
+# comments and blank lines, then the keyword; counts may follow on the same line, even without a blank (ModelNet)
+OFF_KEYWORD = re.compile(rb"(?:\s|#[^\n]*\n)*(?:ST)?C?N?(?P<four>4?)OFF(?P<binary>[ \t]+BINARY)?")
+OFF_WITHOUT_KEYWORD = re.compile(rb"(?:\s|#[^\n]*\n)*\d")
+
+
 def read_off(path: Path, data: bytes) -> Records:
-    """Records of an OFF file: any of the prefixes ST, C, N, 4; counts may stand on the header's line."""
-    head = data[:64].lstrip()
-    start = data.find(b"OFF")
-    if 0 <= start <= len(data) - 3 and not data[:start].strip(b" \t\r\nSTCN4n") and start < 64:
-        start += 3
-    elif head[:1].isdigit() or head[:1] == b"#":
-        start = data.find(b"OFF") + 3 if b"OFF" in data[:4096] else 0
-    else:
+    """Records of a text OFF file: prefixes ST, C, N, 4 are understood, and what they add is skipped."""
+    data = data.removeprefix(b"\xef\xbb\xbf")
+    keyword = OFF_KEYWORD.match(data)
+    if keyword is None and not OFF_WITHOUT_KEYWORD.match(data):
         raise MeshError(path, "it does not begin with OFF", "Check that the ending .off is right")
-    four = b"4" in data[: max(start - 3, 0)][-8:]
-    if data[start : start + 16].lstrip(b" ").startswith(b"BINARY"):
-        raise MeshError(path, "binary OFF is not supported", "Save it as a text OFF, PLY or OBJ file")
+    if keyword and keyword["binary"]:
+        raise MeshError(path, "binary OFF is not read", "Save it as a text OFF, a PLY or an OBJ file")
     text = np.frombuffer(data, np.uint8)
-    values, lines, hard = kernels.parse_numbers(text, start)
+    values, lines, hard = kernels.parse_numbers(text, keyword.end() if keyword else 0)
     _settle(path, text, values, hard)
-    if len(values) < 3:
-        raise MeshError(path, "the counts of vertices and faces are missing", CUT_SHORT)
+    if len(values) < 2:
+        raise MeshError(path, "the numbers of vertices and faces are missing", CUT_SHORT)
     n_vertices, n_faces = _count(path, values[0]), _count(path, values[1])
-    begins = np.flatnonzero(np.concatenate([[True], np.diff(lines) > 0]))
-    body = begins[begins >= 2]
-    # the third count (edges) is often left out: the first row is the first line after the counts
-    body = body[lines[body] > lines[1]]
-    if len(body) < n_vertices + n_faces:
-        return _off_stream(path, values, n_vertices, n_faces, 4 if four else 3)
-    width = np.diff(np.append(body, len(values)))
+    if 3 * n_vertices + n_faces > len(values):
+        raise _off_too_short(path, n_vertices, n_faces)
+    # rows of numbers after the line of the counts, whose third (of edges) is often left out
+    rows = np.flatnonzero(np.diff(lines, prepend=-1) > 0)
+    rows = rows[lines[rows] > lines[1]]
+    if len(rows) < n_vertices + n_faces or lines[0] != lines[1]:
+        return _off_stream(path, values, n_vertices, n_faces, 4 if keyword and keyword["four"] else 3)
+    width = np.diff(np.append(rows, len(values)))
     if n_vertices and width[:n_vertices].min() < 3:
         raise MeshError(path, "a vertex with fewer than 3 coordinates", CUT_SHORT)
-    vertices = values[body[:n_vertices, None] + np.arange(3)] if n_vertices else np.empty((0, 3))
-    rows = body[n_vertices : n_vertices + n_faces]
-    counts = values[rows].astype(np.int64)
-    if n_faces and (counts < 0).any() or (counts + 1 > width[n_vertices : n_vertices + n_faces]).any():
+    vertices = values[rows[:n_vertices, None] + np.arange(3)]
+    rows, width = rows[n_vertices : n_vertices + n_faces], width[n_vertices : n_vertices + n_faces]
+    counts = _whole(path, values[rows])
+    if (counts < 0).any() or (counts + 1 > width).any():
         raise MeshError(path, "a face names fewer corners than it announces", CUT_SHORT)
-    return Records(vertices, values[_runs(rows + 1, counts)].astype(np.int64), counts)
+    return Records(vertices, _whole(path, values[_runs(rows + 1, counts)]), counts)
 
 
 def _off_stream(path: Path, values: np.ndarray, n_vertices: int, n_faces: int, width: int) -> Records:
     """OFF whose rows do not each have a line of their own: nothing but the numbers that must be there."""
     start = 3 + width * n_vertices
+    if start > len(values):
+        raise _off_too_short(path, n_vertices, n_faces)
     begins, counts, end = kernels.walk_lists(values, start, n_faces, np.array([True]), 0)
-    if start > len(values) or end < 0:
-        raise MeshError(path, f"it announces {n_vertices} vertices and {n_faces} faces, but has fewer", CUT_SHORT)
+    if end < 0:
+        raise _off_too_short(path, n_vertices, n_faces)
     vertices = values[3:start].reshape(n_vertices, width)[:, :3].copy()
-    return Records(vertices, values[_runs(begins, counts)].astype(np.int64), counts)
+    return Records(vertices, _whole(path, values[_runs(begins, counts)]), counts)
+
+
+def _off_too_short(path: Path, n_vertices: int, n_faces: int) -> MeshError:
+    return MeshError(path, f"it announces {n_vertices} vertices and {n_faces} faces, but has fewer", CUT_SHORT)
+
+
+def _whole(path: Path, values: np.ndarray) -> np.ndarray:
+    """Numbers that must be whole, as integers."""
+    bad = ~(np.abs(values) < 2**53) | (values != np.floor(values))
+    if bad.any():
+        raise MeshError(path, f"a face has {values[bad][0]:g} where a vertex number should be", EXPORT_AGAIN)
+    return values.astype(np.int64)
 
 
 def _count(path: Path, value: float) -> int:
@@ -201,9 +217,9 @@ def _ply_header(path: Path, data: bytes) -> tuple[str, list[_Element], int]:
     end = data.find(b"end_header")
     if end < 0:
         raise MeshError(path, "its header has no end", CUT_SHORT)
-    start = end + len(b"end_header")
-    # the one line end after the header; a carriage return alone only where the header itself uses it
-    start += 2 if data[start : start + 2] == b"\r\n" else 1
+    # the body begins after this line; line ends may be \n, \r\n or, in old files, \r
+    line_end = data.find(b"\n" if b"\n" in data[:end] else b"\r", end)
+    start = len(data) if line_end < 0 else line_end + 1
     layout, elements = "", []
     for line in data[:end].decode("latin-1").splitlines()[1:]:
         words = line.split()
@@ -240,6 +256,8 @@ def _ascii_element(path: Path, values: np.ndarray, start: int, element: _Element
     width = len(is_list)
     if element.rows == 0 or width == 0:
         return [np.empty(0)] * width, None, start
+    if element.rows > len(values) - start:  # before room is made for them
+        raise _too_short(path, element)
     if not is_list.any():
         end = start + element.rows * width
         if end > len(values):
@@ -248,8 +266,8 @@ def _ascii_element(path: Path, values: np.ndarray, start: int, element: _Element
     begins, counts, end = kernels.walk_lists(values, start, element.rows, is_list, wanted)
     if end < 0:
         raise _too_short(path, element)
-    columns = _columns_beside_lists(path, element)
-    return columns, (values[_runs(begins, counts)].astype(np.int64), counts), end
+    _no_lists_at_vertices(path, element)
+    return [], (_whole(path, values[_runs(begins, counts)]), counts) if wanted >= 0 else None, end
 
 
 def _binary_element(path: Path, data: np.ndarray, start: int, element: _Element, wanted: int, big: bool):
@@ -258,6 +276,8 @@ def _binary_element(path: Path, data: np.ndarray, start: int, element: _Element,
     properties = element.properties
     if element.rows == 0 or not properties:
         return [np.empty(0)] * len(properties), None, start
+    if element.rows > len(data) - start:  # before room is made for them
+        raise _too_short(path, element)
     if all(p.count is None for p in properties):
         row = np.dtype([(str(i), order + p.value) for i, p in enumerate(properties)])
         end = start + element.rows * row.itemsize
@@ -272,16 +292,13 @@ def _binary_element(path: Path, data: np.ndarray, start: int, element: _Element,
     begins, counts, end = kernels.walk_lists_binary(data, start, element.rows, count_size, value_size, big, wanted)
     if end < 0:
         raise _too_short(path, element)
-    columns = _columns_beside_lists(path, element)
+    _no_lists_at_vertices(path, element)
     if wanted < 0:
-        return columns, None, end
-    size = int(value_size[wanted])
-    at = _runs(begins, counts * size)
-    corners = data[at].view(order + properties[wanted].value).astype(np.int64)
-    return columns, (corners, counts), end
+        return [], None, end
+    corners = data[_runs(begins, counts * value_size[wanted])].view(order + properties[wanted].value)
+    return [], (_whole(path, corners), counts), end
 
 
-def _columns_beside_lists(path: Path, element: _Element) -> list[np.ndarray]:
+def _no_lists_at_vertices(path: Path, element: _Element) -> None:
     if element.name == "vertex":
         raise MeshError(path, "its vertices have list properties", "Save it without lists at the vertices")
-    return []
