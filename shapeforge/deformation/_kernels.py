@@ -260,3 +260,80 @@ def explained_without(offsets, template_index, costs, points, deformed, precisio
                 others += value
         loss[p] = min(cap, np.log(everything / others)) if others > 0.0 else cap
     return favourite, loss, density
+
+
+@njit(**_FAST)
+def pair_attraction(offsets, neighbour, descriptors, precision, low, high):
+    """logit Φ (M,) of every neighbour pair, Φ = exp(-½ mean over the descriptor's entries), clamped to [low, high]."""
+    out = np.empty(neighbour.shape[0])
+    n_descriptor = descriptors.shape[1]
+    for p in range(offsets.shape[0] - 1):
+        for c in range(offsets[p], offsets[p + 1]):
+            total = 0.0
+            for d in range(n_descriptor):
+                difference = descriptors[p, d] - descriptors[neighbour[c], d]
+                total += precision[d] * difference * difference
+            phi = min(max(np.exp(-0.5 * total / n_descriptor), low), high)
+            out[c] = np.log(phi / (1.0 - phi))
+    return out
+
+
+@njit(**_FAST)
+def pair_squares(offsets, neighbour, descriptors):
+    """Sum over neighbour pairs (both directions) of squared descriptor differences (D,), for Σ5."""
+    out = np.zeros(descriptors.shape[1])
+    for p in range(offsets.shape[0] - 1):
+        for c in range(offsets[p], offsets[p + 1]):
+            for d in range(descriptors.shape[1]):
+                difference = descriptors[p, d] - descriptors[neighbour[c], d]
+                out[d] += difference * difference
+    return out
+
+
+@njit(**_FAST)
+def energy_of_correspondence(
+    offsets, template_index, q, costs, points, deformed, variance, precision, label, segmentation, log_epsilon
+):
+    """Expected φ1, φ3 and φ4 costs minus the entropy of q, in nats."""
+    total = 0.0
+    for p in range(offsets.shape[0] - 1):
+        for c in range(offsets[p], offsets[p + 1]):
+            if q[c] <= 0.0:
+                continue
+            k = template_index[c]
+            cost = costs[c] - log_epsilon * (1.0 - segmentation[p, label[k]]) + np.log(q[c])
+            for axis in range(3):
+                difference = deformed[k, axis] - points[p, axis]
+                cost += 0.5 * precision[axis] * (difference * difference + variance[k, axis])
+            total += q[c] * cost
+    return total
+
+
+@njit(**_FAST)
+def energy_of_smoothness(offsets, neighbour, deformed, variance, mapped, precision):
+    """Expected φ2 cost, every pair once, in nats."""
+    total = 0.0
+    for k in range(deformed.shape[0]):
+        for c in range(offsets[k], offsets[k + 1]):
+            other = neighbour[c]
+            if other <= k:
+                continue
+            for axis in range(3):
+                delta = deformed[k, axis] - deformed[other, axis] - mapped[k, axis] + mapped[other, axis]
+                total += 0.5 * precision[axis] * (delta * delta + variance[k, axis] + variance[other, axis])
+    return total
+
+
+@njit(**_FAST)
+def energy_of_segmentation(offsets, neighbour, attraction, segmentation):
+    """Expected φ5 cost (every pair once) minus the entropy of s, in nats, up to Σ ln(1-Φ)."""
+    total = 0.0
+    for p in range(offsets.shape[0] - 1):
+        for part in range(segmentation.shape[1]):
+            share = segmentation[p, part]
+            if share <= 0.0:
+                continue
+            total += share * np.log(share)
+            for c in range(offsets[p], offsets[p + 1]):
+                total -= 0.5 * attraction[c] * share * segmentation[neighbour[c], part]
+    return total

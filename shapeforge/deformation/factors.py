@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from shapeforge.deformation import _kernels
+
 LOG_EPSILON = float(np.log(1e-3))
 """φ4: log probability that a point bears another label than the template point it corresponds to."""
 
@@ -54,8 +56,4 @@ def attraction(
     segment: Float[np.ndarray, " d"],
 ) -> Float[np.ndarray, " M"]:
     """logit Φ of every neighbour pair (φ5), with the exponent divided by the descriptor's dimension and Φ clamped."""
-    owner = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
-    difference = descriptors[owner] - descriptors[neighbour]
-    exponent = -0.5 * ((difference * difference) / segment).mean(axis=1)
-    phi = np.clip(np.exp(exponent), *PHI_RANGE)
-    return np.log(phi) - np.log1p(-phi)
+    return _kernels.pair_attraction(offsets, neighbour, descriptors, 1.0 / segment, *PHI_RANGE)

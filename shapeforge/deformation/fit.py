@@ -23,7 +23,7 @@ from shapeforge.collection.shape import Shape, Shapes
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.energy import free_energy
 from shapeforge.deformation.existence import switch_off_missing
-from shapeforge.deformation.factors import FLOORS, Covariances, floored, initial_covariances
+from shapeforge.deformation.factors import FLOORS, Covariances, attraction, floored, initial_covariances
 from shapeforge.deformation.templates import PartTemplates, pair_graph, template_from_exemplar
 from shapeforge.deformation.updates import (
     GaussianOnDeformation,
@@ -253,11 +253,12 @@ def fit_shape(
     candidates = find_candidates(
         problem, templates, beliefs.deformed, beliefs.active[templates.label], covariances.descriptor
     )
+    pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)
     for _ in range(inner):
         correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
-        beliefs = update_segmentation(problem, correspondence, beliefs, covariances.segment)
+        beliefs = update_segmentation(problem, correspondence, beliefs, pull)
         beliefs = update_deformations(templates, graph, correspondence, beliefs, covariances, prior)
-    energy = free_energy(problem, templates, graph, candidates, correspondence, beliefs, covariances)
+    energy = free_energy(problem, templates, graph, candidates, correspondence, beliefs, covariances, pull)
     summary = summarize(problem, templates, graph, candidates, correspondence, beliefs, energy)
     beliefs = switch_off_missing(problem, templates, candidates, beliefs, covariances.unary)
     return update_maps(templates, correspondence, beliefs), summary

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation import _kernels
 from shapeforge.deformation.beliefs import Beliefs
-from shapeforge.deformation.factors import DESCRIPTOR_WEIGHT, LOG_EPSILON, Covariances, attraction
+from shapeforge.deformation.factors import DESCRIPTOR_WEIGHT, LOG_EPSILON, Covariances
 from shapeforge.deformation.templates import PartTemplates, pair_graph
 
 POINT_CANDIDATES = 15
@@ -109,13 +109,15 @@ def update_correspondences(
 
 
 def update_segmentation(
-    problem: Problem, correspondence: Correspondence, beliefs: Beliefs, segment: Float[np.ndarray, " d"], sweeps: int = 2
+    problem: Problem, correspondence: Correspondence, beliefs: Beliefs, pull: Float[np.ndarray, " M"], sweeps: int = 2
 ) -> Beliefs:
-    """s[p,l] (supplement, segmentation update), Gauss-Seidel over the symmetric neighbour pairs; painted points stay."""
+    """s[p,l] (supplement, segmentation update), Gauss-Seidel over the symmetric neighbour pairs; painted points stay.
+
+    ``pull`` is φ5's logit Φ of every pair (``factors.attraction``).
+    """
     segmentation = beliefs.segmentation.copy()
     _kernels.segment(
-        correspondence.part_share, problem.offsets, problem.neighbour,
-        attraction(problem.descriptors, problem.offsets, problem.neighbour, segment), LOG_EPSILON, beliefs.active,
+        correspondence.part_share, problem.offsets, problem.neighbour, pull, LOG_EPSILON, beliefs.active,
         problem.evidence, sweeps, segmentation,
     )  # fmt: skip
     return replace(beliefs, segmentation=segmentation)
@@ -223,8 +225,7 @@ def summarize(
         problem.descriptors, templates.descriptors, templates.label, templates.n_parts,
     )  # fmt: skip
     smooth, pairs = _kernels.smoothness_sums(*graph, beliefs.deformed, mapped_template(templates, beliefs), alive)
-    owner = np.repeat(np.arange(len(problem.points)), np.diff(problem.offsets))
-    difference = problem.descriptors[owner] - problem.descriptors[problem.neighbour]
+    segment = _kernels.pair_squares(problem.offsets, problem.neighbour, problem.descriptors)
     normal = np.zeros((templates.n_parts, 3, 3))
     moment = np.zeros((templates.n_points, 3))
     for part in np.flatnonzero(beliefs.active):
@@ -236,8 +237,8 @@ def summarize(
         normal[part] = a.T @ a
         moment[rows] = centred @ a
     return Summary(
-        float(weight), unary, descriptor, by_part, int(pairs), smooth, len(owner), (difference**2).sum(axis=0), normal,
-        moment, float(energy), len(problem.points),
+        float(weight), unary, descriptor, by_part, int(pairs), smooth, len(problem.neighbour),
+        segment, normal, moment, float(energy), len(problem.points),
     )  # fmt: skip
 
 

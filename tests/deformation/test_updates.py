@@ -134,8 +134,8 @@ def test_segmentation_equals_the_oracle_point_by_point():
     beliefs = replace(beliefs, active=np.array([True, True, False]))
     start = np.where(beliefs.active, beliefs.segmentation + 1e-9, 0.0)
     beliefs = replace(beliefs, segmentation=start / start.sum(axis=1, keepdims=True))
-    got = update_segmentation(problem, correspondence, beliefs, covariances.segment, sweeps=1).segmentation
     pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)
+    got = update_segmentation(problem, correspondence, beliefs, pull, sweeps=1).segmentation
     neighbours = np.split(problem.neighbour, problem.offsets[1:-1])
     pulls = np.split(pull, problem.offsets[1:-1])
     wanted = beliefs.segmentation.copy()
@@ -158,6 +158,8 @@ def test_no_exact_update_raises_the_free_energy(seed):
     )
     correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
 
+    pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)
+
     def energy():
         return free_energy(problem, templates, graph, candidates, correspondence, beliefs, covariances)
 
@@ -165,7 +167,7 @@ def test_no_exact_update_raises_the_free_energy(seed):
     for _ in range(5):
         correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
         track.append(energy())
-        beliefs = update_segmentation(problem, correspondence, beliefs, covariances.segment)
+        beliefs = update_segmentation(problem, correspondence, beliefs, pull)
         track.append(energy())
         beliefs = update_deformations(templates, graph, correspondence, beliefs, covariances)
         track.append(energy())
@@ -183,7 +185,7 @@ def test_part_maps_recover_an_affine_change_of_each_part():
     correspondence = update_correspondences(
         problem, templates,
         find_candidates(problem, templates, points, np.ones(240, bool), covariances.descriptor),
-        replace(beliefs, deformed=points, segmentation=np.full((240, N_PARTS), 1 / 3)), np.full(3, 1e-6),
+        replace(beliefs, deformed=points, segmentation=np.full((240, N_PARTS), 1 / 3), evidence=problem.evidence), np.full(3, 1e-6),
     )  # fmt: skip
     for _ in range(30):  # the ridge leans on the previous map, so it takes a few rounds
         beliefs = update_maps(templates, correspondence, beliefs)
