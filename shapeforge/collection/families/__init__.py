@@ -14,6 +14,7 @@ from shapeforge.collection.families.assemble import DAMAGES, assemble, damaged
 from shapeforge.collection.families.generated import (
     Generated,
     address_at,
+    corner_at,
     corresponding_point,
     nearest_on_mesh,
     position_of,
@@ -72,8 +73,7 @@ def generate_one(
     landmarks = {}
     for landmark, (component, address) in module.LANDMARKS.items():
         if component in whole.components:
-            place = np.array([address], dtype=float)
-            landmarks[landmark] = position_of(whole, module.COMPONENTS.index(component), place)[0][0]
+            landmarks[landmark] = corner_at(whole, module.COMPONENTS.index(component), address)
     mesh, part, address = assemble(pieces, module.PARTS, module.COMPONENTS, polygons="polygons" in kinds)
     mesh, part, address = damaged(mesh, part, address, kinds, rng=rng)
     return _generated(name, module, fine_class, mesh, part, address, landmarks, kinds)

@@ -2,26 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from shapeforge.collection.families.solids import Piece, loft, monotone, revolve, square_ring, squircle, sweep
+from shapeforge.collection.families.solids import (
+    Number,
+    Pair,
+    Piece,
+    Table,
+    Vector,
+    loft,
+    monotone,
+    revolve,
+    square_ring,
+    squircle,
+    sweep,
+)
 
 
 def body(
-    nose_z: float,
-    length: float,
-    stations: Sequence[tuple[float, float, float, float]],
-    scale: float,
+    nose_z: Number,
+    length: Number,
+    stations: Table,
+    scale: Number,
     *,
     part: str = "fuselage",
     component: str = "fuselage",
-    exponents: Sequence[tuple[float, float]] = ((0.0, 2.0), (1.0, 2.0)),
+    exponents: Table = ((0.0, 2.0), (1.0, 2.0)),
     n_around: int = 24,
-    n_along: int = 26,
-    shift: tuple[float, float] = (0.0, 0.0),
-    inlet: float = 0.0,
+    n_along: int = 18,
+    shift: Pair = (0.0, 0.0),
+    inlet: Number = 0.0,
 ) -> Piece:
     """A body from its nose at ``nose_z`` backwards (-z).
 
@@ -62,7 +72,7 @@ def _hollowed(rings, address, depth):
     return np.concatenate([inner, rings]), np.concatenate([places, address])
 
 
-def aerofoil(n_chord: int, thickness: float, camber: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def aerofoil(n_chord: int, thickness: Number, camber: Number = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Section (n, 2) around a unit chord (0 leading edge), and its address (n, 2): v along the chord, w 1 on top.
 
     The four-digit series' thickness law, with a blunt trailing edge.
@@ -78,21 +88,21 @@ def aerofoil(n_chord: int, thickness: float, camber: float = 0.0) -> tuple[np.nd
 
 
 def lifting_surface(
-    root: Sequence[float],
-    span: float,
-    root_chord: float,
-    tip_chord: float,
-    sweep_angle: float,
-    dihedral: float,
+    root: Vector,
+    span: Number,
+    root_chord: Number,
+    tip_chord: Number,
+    sweep_angle: Number,
+    dihedral: Number,
     part: str,
     component: str,
     *,
-    thickness: float = 0.1,
-    kink: float = 0.0,
-    winglet: float = 0.0,
-    bow: float = 0.0,
-    n_span: int = 12,
-    n_chord: int = 11,
+    thickness: Number = 0.1,
+    kink: Number = 0.0,
+    winglet: Number = 0.0,
+    bow: Number = 0.0,
+    n_span: int = 10,
+    n_chord: int = 10,
 ) -> Piece:
     """A wing half or a tail surface going left (+x) from ``root``, the leading edge of its root section.
 
@@ -160,14 +170,14 @@ def _surface(leading, chord, thickness, lean, s, part, component, n_chord) -> Pi
 
 
 def fin(
-    root: Sequence[float],
-    height: float,
-    root_chord: float,
-    tip_chord: float,
-    sweep_angle: float,
+    root: Vector,
+    height: Number,
+    root_chord: Number,
+    tip_chord: Number,
+    sweep_angle: Number,
     component: str,
     *,
-    lean: float = 0.0,
+    lean: Number = 0.0,
     fillet: bool = False,
 ) -> Piece:
     """An upright surface from ``root`` (its leading edge at the body); ``lean`` radians outwards (left).
@@ -188,7 +198,7 @@ def fin(
     return _surface(leading, chord * tip, thin, np.full(len(s), 0.5 * np.pi - lean), s, "fin", component, 10)
 
 
-def pod(place: Sequence[float], radius: float, length: float, component: str) -> Piece:
+def pod(place: Vector, radius: Number, length: Number, component: str) -> Piece:
     """A jet engine: duct, lip, cowl, nozzle and its cone; ``place`` is the middle of the intake."""
     r = radius
     profile = [
@@ -207,27 +217,27 @@ def pod(place: Sequence[float], radius: float, length: float, component: str) ->
         (0.88 * length, 0.5 * r),
         (0.9 * length, 0.46 * r),
         (0.89 * length, 0.34 * r),
-        (1.0 * length, 0.05 * r),
+        (length, 0.05 * r),
     ]
     return revolve(profile, place, (0, 0, -1), "engine", component, n_around=20)
 
 
-def nozzle(place: Sequence[float], radius: float, length: float, component: str) -> Piece:
+def nozzle(place: Vector, radius: Number, length: Number, component: str) -> Piece:
     """A fighter's exhaust: a petalled ring, open at the back."""
     r = radius
     profile = [(0.0, 0.8 * r), (0.02 * length, 1.08 * r), (0.35 * length, 1.1 * r), (0.75 * length, 0.95 * r),
-               (1.0 * length, 0.82 * r), (1.0 * length, 0.76 * r), (0.6 * length, 0.7 * r), (0.4 * length, 0.3 * r)]  # fmt: skip
+               (length, 0.82 * r), (length, 0.76 * r), (0.6 * length, 0.7 * r), (0.4 * length, 0.3 * r)]  # fmt: skip
     return revolve(profile, place, (0, 0, -1), "engine", component, n_around=20)
 
 
 def pylon(
-    foot: Sequence[float],
-    top: Sequence[float],
-    chord: float,
+    foot: Vector,
+    top: Vector,
+    chord: Number,
     component: str,
     *,
     part: str = "engine",
-    slim: float = 0.16,
+    slim: Number = 0.16,
 ) -> Piece:
     """A streamlined strut between two places, ``chord`` long in the direction of flight."""
     path = np.linspace(foot, top, 5)
@@ -235,11 +245,11 @@ def pylon(
     return sweep(path, half, (0, 0, 1), part, component, exponent=2.4, n_around=12)
 
 
-def propeller(place: Sequence[float], radius: float, spinner: float, blades: int, component: str) -> list[Piece]:
+def propeller(place: Vector, radius: Number, spinner: Number, blades: int, component: str) -> list[Piece]:
     """A pointed spinner and flat blades, mirror images of each other left and right."""
     cone = [(0.0, 0.02), (0.08, 0.3), (0.3, 0.6), (0.65, 0.88), (1.0, 1.0), (1.25, 1.0), (1.3, 0.8)]
     tip = np.asarray(place, dtype=float) + [0, 0, 1.15 * spinner]
-    profile = [(1.0 * a * spinner, r * spinner) for a, r in cone]
+    profile = [(a * spinner, r * spinner) for a, r in cone]
     pieces = [revolve(profile, tip, (0, 0, -1), "engine", component, n_around=16, along=(0, 0.4))]
     middle = np.asarray(place, dtype=float) + [0, 0, 0.3 * spinner]
     u = np.linspace(0, 1, 9)
@@ -252,5 +262,3 @@ def propeller(place: Sequence[float], radius: float, spinner: float, blades: int
         side = np.cross(out, [0, 0, 1.0])
         pieces.append(sweep(path, half, side, "engine", component, n_around=8, along=(0.4, 1.0)))
     return pieces
-
-

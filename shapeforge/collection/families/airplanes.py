@@ -65,7 +65,8 @@ LANDMARKS = {name.replace(" ", "_"): place for name, place in LANDMARKS.items()}
 
 def build_airplane(fine_class: str, rng: np.random.Generator) -> list[Piece]:
     """The pieces of one airplane of the given fine class."""
-    return {"airliner": _airliner, "fighter": _fighter, "propeller": _propeller_craft, "glider": _glider}[fine_class](rng)
+    makers = {"airliner": _airliner, "fighter": _fighter, "propeller": _propeller_craft, "glider": _glider}
+    return makers[fine_class](rng)
 
 
 def _both(piece: Piece) -> list[Piece]:
@@ -160,7 +161,8 @@ def _airliner(rng: np.random.Generator) -> list[Piece]:
         z = nose_z - length * rng.uniform(0.68, 0.72)
         place = np.array([0.88 * radius + 1.3 * size, 0.42 * radius, z])
         pieces += _both(pod(place, 0.9 * size, 4.6 * size, "engine left"))
-        pieces += _both(pylon(place * [0, 1, 1] + [0.5 * radius, 0, -size], place + [0, 0, -size], 2.2 * size, "pylon left"))
+        inside = np.array([0.5 * radius, place[1], place[2] - size])
+        pieces += _both(pylon(inside, place + [0, 0, -size], 2.2 * size, "pylon left"))
         return pieces
     four = length > 20 and rng.random() < 0.4
     size = radius * (rng.uniform(0.42, 0.55) if four else rng.uniform(0.52, 0.7))
@@ -236,13 +238,15 @@ def _fighter(rng: np.random.Generator) -> list[Piece]:
         )  # fmt: skip
     r = rng.uniform(0.4, 0.46)
     if twin_engine:
-        pieces += _both(nozzle((0.5 * rear, 0.03, nose_z - 0.965 * length), r * 0.98, rng.uniform(0.9, 1.2), "nozzle left"))
+        place = (0.5 * rear, 0.03, nose_z - 0.965 * length)
+        pieces += _both(nozzle(place, r * 0.98, rng.uniform(0.9, 1.2), "nozzle left"))
     else:
         pieces.append(nozzle((0, 0.03, nose_z - 0.96 * length), r * 1.12, rng.uniform(0.9, 1.3), "nozzle"))
     intake = body(
         nose_z - rng.uniform(0.29, 0.35) * length,
         0.26 * length,
-        [(0, 0.2, 0.36, 0.0), (0.015, 0.23, 0.4, 0.0), (0.3, 0.26, 0.43, 0.0), (0.75, 0.22, 0.4, 0.0), (1.0, 0.08, 0.25, 0.0)],
+        [(0, 0.2, 0.36, 0.0), (0.015, 0.23, 0.4, 0.0), (0.3, 0.26, 0.43, 0.0), (0.75, 0.22, 0.4, 0.0),
+         (1.0, 0.08, 0.25, 0.0)],
         1.0, component="intake left", part="engine", n_around=16, n_along=10, exponents=[(0, 5.0), (1, 4.0)],
         shift=(0.62 * min(1.0, wide) + 0.1, rng.uniform(-0.2, 0.02)), inlet=0.3,
     )  # fmt: skip
@@ -283,7 +287,7 @@ def _propeller_craft(rng: np.random.Generator) -> list[Piece]:
     chord = span * rng.uniform(0.26, 0.34)
     taper = rng.uniform(0.45, 1.0)
     dihedral = np.radians(rng.uniform(0.5, 3) if high_wing else rng.uniform(3, 7))
-    y_wing = 1.28 * tall if high_wing else -0.62 * tall
+    y_wing = 1.4 * tall if high_wing else -0.62 * tall
     root = np.array([0.0, y_wing, nose_z - rng.uniform(0.25, 0.29) * length])
     sweep = np.radians(rng.uniform(-1, 4)) + 0.25 * (1 - taper) * chord / span
     pieces += _both(
@@ -297,8 +301,8 @@ def _propeller_craft(rng: np.random.Generator) -> list[Piece]:
     kind = str(rng.choice(["conventional", "T", "V"], p=[0.65, 0.25, 0.1]))
     pieces += _tail(
         rng, kind=kind, z=nose_z - 0.87 * length, y=0.2 * tall, fuselage_half=0.2 * half,
-        chord=chord * rng.uniform(0.58, 0.72), span=span * rng.uniform(0.32, 0.4), fin_height=length * rng.uniform(0.16, 0.2),
-        sweep=np.radians(rng.uniform(4, 12)), dihedral=0.02,
+        chord=chord * rng.uniform(0.58, 0.72), span=span * rng.uniform(0.32, 0.4),
+        fin_height=length * rng.uniform(0.16, 0.2), sweep=np.radians(rng.uniform(4, 12)), dihedral=0.02,
     )  # fmt: skip
     blades = int(rng.integers(2, 5))
     if wing_engines:
@@ -319,7 +323,8 @@ def _propeller_craft(rng: np.random.Generator) -> list[Piece]:
     r = 0.68 * half
     cowling = body(
         nose_z + 0.012 * length, 0.15 * length,
-        [(0, 0.86, 0.84, -0.1), (0.02, 1.02, 0.98, -0.1), (0.12, 1.14, 1.08, -0.1), (0.6, 1.28, 1.19, -0.12), (1.0, 1.28, 1.18, -0.12)],
+        [(0, 0.86, 0.84, -0.1), (0.02, 1.02, 0.98, -0.1), (0.12, 1.14, 1.08, -0.1), (0.6, 1.28, 1.19, -0.12),
+         (1.0, 1.28, 1.18, -0.12)],
         r, component="cowling", part="engine", n_along=12, exponents=[(0, 2.2), (1, 2.4)], inlet=0.06,
     )  # fmt: skip
     pieces.append(cowling)
@@ -357,8 +362,8 @@ def _glider(rng: np.random.Generator) -> list[Piece]:
         body(
             nose_z - 0.05 * length,
             0.26 * length,
-            [(0, 0.02, 0.02, 0.1), (0.1, 0.3, 0.26, 0.22), (0.4, 0.6, 0.5, 0.45), (0.65, 0.6, 0.46, 0.5), (0.9, 0.3, 0.2, 0.52),
-             (1.0, 0.03, 0.03, 0.5)],
+            [(0, 0.02, 0.02, 0.1), (0.1, 0.3, 0.26, 0.22), (0.4, 0.6, 0.5, 0.45), (0.65, 0.6, 0.46, 0.5),
+             (0.9, 0.3, 0.2, 0.52), (1.0, 0.03, 0.03, 0.5)],
             tall, component="canopy", n_around=16, n_along=14,
         )
     )  # fmt: skip
@@ -373,8 +378,8 @@ def _glider(rng: np.random.Generator) -> list[Piece]:
     )  # fmt: skip
     kind = str(rng.choice(["T", "V", "conventional"], p=[0.6, 0.2, 0.2]))
     pieces += _tail(
-        rng, kind=kind, z=nose_z - 0.91 * length, y=0.28 * tall, fuselage_half=0.3 * half, chord=chord * rng.uniform(0.6, 0.75),
-        span=length * rng.uniform(0.17, 0.22), fin_height=length * rng.uniform(0.15, 0.19), sweep=np.radians(rng.uniform(4, 10)),
-        dihedral=0.0,
+        rng, kind=kind, z=nose_z - 0.91 * length, y=0.28 * tall, fuselage_half=0.3 * half,
+        chord=chord * rng.uniform(0.6, 0.75), span=length * rng.uniform(0.17, 0.22),
+        fin_height=length * rng.uniform(0.15, 0.19), sweep=np.radians(rng.uniform(4, 10)), dihedral=0.0,
     )  # fmt: skip
     return pieces

@@ -6,6 +6,7 @@ import numpy as np
 
 from shapeforge.collection.families.chair_frames import Back, Seat
 from shapeforge.collection.families.solids import (
+    Number,
     Piece,
     curve,
     cushion,
@@ -24,7 +25,7 @@ def make_back(
     seat: Seat,
     rng: np.random.Generator,
     *,
-    post: float,
+    post: Number,
     wide: bool = False,
     kind: str = "",
     held: str = "",
@@ -35,9 +36,11 @@ def make_back(
     (drawn when empty); ``held`` posts, bracket or nothing (chosen to suit when empty).
     """
     if not kind:
-        kinds = ["slats", "spindles", "ladder", "panel"] if wide else [
-            "shell", "pad", "panel", "slats", "spindles", "ladder", "splat", "hoop"
-        ]
+        kinds = (
+            ["slats", "spindles", "ladder", "panel"]
+            if wide
+            else ["shell", "pad", "panel", "slats", "spindles", "ladder", "splat", "hoop"]
+        )
         kind = str(rng.choice(kinds))
     slender = kind in ("slats", "spindles", "ladder", "splat", "hoop", "panel")
     height = rng.uniform(0.38, 0.5) if wide or kind == "hoop" else rng.uniform(0.38, 0.58)
@@ -46,8 +49,13 @@ def make_back(
     if seat.exponent < 4 and slender:
         half_width = 0.86 * rear
     wrap = 0.0 if wide else rng.uniform(0.0, 0.045) * (1.0 if slender else 1.3)
-    depth_in = post if seat.exponent > 4 else 0.34 * seat.half_depth
-    foot_z = -seat.half_depth + depth_in - (wrap if slender else 0.0)
+    foot_z = -seat.half_depth + max(post, 0.014)
+    if seat.exponent < 4 and slender:
+        # the posts stand inside the rounded plan, the middle of the back just inside its rear edge
+        half_width = 0.8 * rear
+        posts_z = -0.92 * seat.half_depth * _side_of(seat, 0.8 * seat.half_depth)
+        foot_z = max(posts_z - wrap, foot_z)
+        wrap = posts_z - foot_z
     if held == "bracket":
         foot_z = -seat.half_depth - 0.005
         height = rng.uniform(0.42, 0.62)
@@ -110,7 +118,7 @@ def _placed(back: Back, piece: Piece) -> Piece:
     return moved(readdressed(piece, address), back.place)
 
 
-def _panel(back: Back, kind: str, low: float, under: float, rng: np.random.Generator) -> Piece:
+def _panel(back: Back, kind: str, low: Number, under: float, rng: np.random.Generator) -> Piece:
     """One sheet from ``low`` (share of the height) to the top: a shell goes down beside the seat."""
     exponent = rng.uniform(2.4, 4.5) if kind == "shell" else rng.uniform(3.5, 8)
     thick = rng.uniform(0.022, 0.04) if kind == "pad" else rng.uniform(0.006, 0.01)
@@ -133,7 +141,7 @@ def _panel(back: Back, kind: str, low: float, under: float, rng: np.random.Gener
         (0.6, thick, 1.0),
         (0.3, thick, 1.0),
     ]
-    flat = cushion(profile, (back.half_width, half), "back", "back", exponent=exponent, n_around=40)
+    flat = cushion(profile, (back.half_width, half), "back", "back", exponent=exponent, n_around=32)
 
     def address(vertices):
         x, d, h = vertices.T
@@ -148,37 +156,38 @@ def _panel(back: Back, kind: str, low: float, under: float, rng: np.random.Gener
     return moved(readdressed(flat, address), stand)
 
 
-def _posts(back: Back, post: float, under: float, *, top: float) -> list[Piece]:
+def _posts(back: Back, post: Number, under: Number, *, top: float) -> list[Piece]:
     """Two uprights at the sides, in flat coordinates."""
-    h = np.linspace(-under * back.height, top * back.height, 12)
-    path = np.stack([np.full(12, back.half_width), h, np.zeros(12)], axis=1)
-    half = np.stack([np.linspace(0.95, 0.75, 12), np.linspace(0.95, 0.7, 12)], axis=1) * post
+    h = np.linspace(-under * back.height, top * back.height, 8)
+    path = np.stack([np.full(8, back.half_width), h, np.zeros(8)], axis=1)
+    half = np.stack([np.linspace(0.95, 0.75, 8), np.linspace(0.95, 0.7, 8)], axis=1) * post
     one = sweep(path, half, (1, 0, 0), "back", "back", exponent=6.0, n_around=12, bevel=0.5 * post)
     return [one, mirrored_across(one, 0)]
 
 
-def _rail(back: Back, share: float, tall: float, thin: float, rng: np.random.Generator) -> Piece:
-    path = curve([(-back.half_width, share * back.height, 0), (back.half_width, share * back.height, 0)], 13)
-    grow = 1 + 0.25 * np.sin(np.pi * np.linspace(0, 1, 13))
-    half = np.stack([tall * grow, np.full(13, thin)], axis=1)
+def _rail(back: Back, share: Number, tall: float, thin: float, rng: np.random.Generator) -> Piece:
+    path = curve([(-back.half_width, share * back.height, 0), (back.half_width, share * back.height, 0)], 9)
+    grow = 1 + 0.25 * np.sin(np.pi * np.linspace(0, 1, 9))
+    half = np.stack([tall * grow, np.full(9, thin)], axis=1)
     return sweep(path, half, (0, 1, 0), "back", "back", exponent=6.0, n_around=12)
 
 
 def _uprights(back, count, low, top, width, thin, exponent, *, vase=0.0, swell=0.0) -> list[Piece]:
     """Slats or spindles between two heights (shares), evenly spread and mirror images of each other."""
     places = (np.arange(count) - 0.5 * (count - 1)) * 2 / (count + 0.15) * back.half_width
-    u = np.linspace(0, 1, 11)
+    n = 11 if vase else 7
+    u = np.linspace(0, 1, n)
     pieces = []
     for x in places:
         shape = 1 + vase * np.sin(2 * np.pi * u) + swell * np.sin(np.pi * u)
-        half = np.stack([width * shape, np.full(11, thin) * (shape if swell else 1)], axis=1)
-        path = np.stack([np.full(11, x), (low + (top - low) * u) * back.height, np.zeros(11)], axis=1)
+        half = np.stack([width * shape, np.full(n, thin) * (shape if swell else 1)], axis=1)
+        path = np.stack([np.full(n, x), (low + (top - low) * u) * back.height, np.zeros(n)], axis=1)
         around = 8 if exponent == 2.0 else 12
         pieces.append(sweep(path, half, (1, 0, 0), "back", "back", exponent=exponent, n_around=around))
     return pieces
 
 
-def _hoop(back: Back, under: float, rng: np.random.Generator) -> list[Piece]:
+def _hoop(back: Back, under: Number, rng: np.random.Generator) -> list[Piece]:
     """A bent hoop with spindles, as Windsor chairs have."""
     spring = rng.uniform(0.3, 0.5)
     angle = np.linspace(0, np.pi, 25)
@@ -201,7 +210,7 @@ def _hoop(back: Back, under: float, rng: np.random.Generator) -> list[Piece]:
     return [_placed(back, p) for p in pieces]
 
 
-def _bracket(back: Back, seat: Seat, low: float, rng: np.random.Generator) -> Piece:
+def _bracket(back: Back, seat: Seat, low: Number, rng: np.random.Generator) -> Piece:
     """The bent bar that carries the back of a swivel chair from under its seat."""
     behind = back.place(np.array([[0, (low + 0.16) * back.height, -0.02], [0, 0.4 * low * back.height, -0.045]]))
     path = curve(
@@ -239,28 +248,28 @@ def make_arms(seat: Seat, back: Back, rng: np.random.Generator, *, kind: str = "
     if kind == "loop":
         bow = front + [0.0, -0.004, -0.05]
         path = curve([start, 0.5 * (start + front) + [0.3 * out, 0.004, 0], bow, front + [0, -0.045, 0.012],
-                      0.5 * (front + foot) + [0, -0.01, 0.0], foot + [-0.01, -0.005, 0]], 31)  # fmt: skip
+                      0.5 * (front + foot) + [0, -0.01, 0.0], foot + [-0.01, -0.005, 0]], 25)  # fmt: skip
         radius = rng.uniform(0.011, 0.016)
-        half = np.stack([np.full(31, radius * rng.uniform(1.0, 1.5)), np.full(31, radius)], axis=1)
-        pieces.append(sweep(path, half, (1, 0, 0), "arm", component, exponent=3.0, n_around=12))
+        half = np.stack([np.full(25, radius * rng.uniform(1.0, 1.5)), np.full(25, radius)], axis=1)
+        pieces.append(sweep(path, half, (1, 0, 0), "arm", component, exponent=3.0, n_around=12, bevel=0.006))
     else:
         middle = 0.5 * (start + front) + [0.4 * out, -0.012, 0]
-        path = curve([start - [0, 0, 0.008], middle, front], 17)
+        path = curve([start - [0, 0, 0.008], middle, front], 13)
         if kind == "pad":
-            path = curve([front * [1, 1, 0] + [0.0, 0, -0.55 * reach], front + [0, 0, -0.1 * reach]], 13)
+            path = curve([front * [1, 1, 0] + [0.0, 0, -0.55 * reach], front + [0, 0, -0.1 * reach]], 7)
         u = np.linspace(0, 1, len(path))
         broad = rng.uniform(0.02, 0.03)
-        width = {"rail": broad * (0.7 + 0.35 * u**2), "paddle": broad * (0.75 + 0.75 * u**3), "pad": 1.25 * broad + 0 * u}
-        half = np.stack([width[kind], np.full(len(u), 0.011 if kind != "pad" else 0.014)], axis=1)
+        widen = {"rail": 0.7 + 0.35 * u**2, "paddle": 0.75 + 0.75 * u**3, "pad": np.full(len(u), 1.25)}[kind]
+        half = np.stack([broad * widen, np.full(len(u), 0.011 if kind != "pad" else 0.014)], axis=1)
         pieces.append(
-            sweep(path, half, (1, 0, 0), "arm", component, exponent=4.0, bevel=0.011, n_around=16, along=(0, 0.6))
+            sweep(path, half, (1, 0, 0), "arm", component, exponent=4.0, bevel=0.011, n_around=12, along=(0, 0.6))
         )
-        support_top = path[12] if kind != "pad" else path[len(path) // 2 + 1]
+        support_top = path[9] if kind != "pad" else path[len(path) // 2 + 1]
         if kind == "pad":
             under = np.array([0.4 * seat.half_width, seat.bottom - 0.004, support_top[2]])
             corner = np.array([support_top[0] + 0.005, seat.bottom + 0.01, support_top[2]])
-            path = curve([support_top, corner + [0.004, 0.09, 0], corner + [-0.03, -0.014, 0], under], 21)
-            half = np.tile([0.022, 0.008], (21, 1))
+            path = curve([support_top, corner + [0.004, 0.09, 0], corner + [-0.03, -0.014, 0], under], 15)
+            half = np.tile([0.022, 0.008], (15, 1))
             pieces.append(sweep(path, half, (0, 0, 1), "arm", component, exponent=4.0, along=(0.6, 1.0)))
         else:
             lean = foot + [-0.012, -0.4 * seat.thickness, rng.uniform(-0.01, 0.03)]
@@ -272,6 +281,6 @@ def make_arms(seat: Seat, back: Back, rng: np.random.Generator, *, kind: str = "
     return pieces + [mirrored(p, "arm right") for p in pieces]
 
 
-def _side_of(seat: Seat, z: float) -> float:
+def _side_of(seat: Seat, z: Number) -> float:
     """Share of the half width at which a rounded seat ends at depth z."""
     return float((1 - min(abs(z) / seat.half_depth, 0.999) ** seat.exponent) ** (1 / seat.exponent))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shapeforge.collection.families.solids import (
+    Number,
     Piece,
     curve,
     cushion,
@@ -24,18 +25,18 @@ from shapeforge.collection.families.solids import (
 class Seat:
     """Where things can be joined to a seat: half sizes, height of its top, thickness, roundness and rear taper."""
 
-    half_width: float
-    half_depth: float
-    top: float
-    thickness: float
-    exponent: float
-    taper: float
+    half_width: Number
+    half_depth: Number
+    top: Number
+    thickness: Number
+    exponent: Number
+    taper: Number
 
-    def at(self, p: float, q: float) -> tuple[float, float]:
+    def at(self, p: Number, q: Number) -> tuple[float, float]:
         """(x, z) of the plan point p across (-1..1), q along (-1 rear .. 1 front), inside a square plan."""
         return self.half_width * p * (1 + self.taper * q), self.half_depth * q
 
-    def inset(self, p: float, q: float) -> tuple[float, float]:
+    def inset(self, p: Number, q: Number) -> tuple[float, float]:
         """As ``at``, for the square's point moved into the seat's own roundness."""
         p, q = squircle(np.array([p, q], dtype=float), self.exponent)
         return self.at(float(p), float(q))
@@ -50,14 +51,14 @@ class Seat:
 class Back:
     """The curved sheet a back is built in: flat coordinates (x, height, depth) bend into space here."""
 
-    half_width: float
-    height: float
-    foot: tuple[float, float]  # (y, z) of the middle of its lower edge
-    slant: float  # radians from upright
-    bend: float  # how far the top bends further back, as a share of the height
-    wrap: float  # how far the sides come forward, metres
-    crown: float  # how much higher the middle of its top is than the sides, as a share of the height
-    flare: float  # how much wider the top is than the foot, as a share
+    half_width: Number
+    height: Number
+    foot: tuple[Number, Number]  # (y, z) of the middle of its lower edge
+    slant: Number  # radians from upright
+    bend: Number  # how far the top bends further back, as a share of the height
+    wrap: Number  # how far the sides come forward, metres
+    crown: Number  # how much higher the middle of its top is than the sides, as a share of the height
+    flare: Number  # how much wider the top is than the foot, as a share
 
     def place(self, flat: np.ndarray) -> np.ndarray:
         """Points (n, 3) of flat coordinates x across, h up, d forward, in space."""
@@ -100,6 +101,7 @@ def make_seat(rng, *, half_width, half_depth, top, kind, exponent) -> tuple[Seat
         y = y - 0.012 * np.clip(along - 0.55, 0, None) ** 2 / 0.2 * (half_width < 0.3)
         return np.stack([x * (1 + taper * along), y + top, z], axis=1)
 
+    section = {"exponent": exponent, "n_around": 36}
     edge = 0.35 * board
     if not padding:
         profile = [
@@ -115,7 +117,7 @@ def make_seat(rng, *, half_width, half_depth, top, kind, exponent) -> tuple[Seat
             (0.5, 0.0, 1.0),
             (0.25, 0.0, 1.0),
         ]
-        return seat, [moved(cushion(profile, (half_width, half_depth), "seat", "seat", exponent=exponent), shaped)]
+        return seat, [moved(cushion(profile, (half_width, half_depth), "seat", "seat", **section), shaped)]
     dome = rng.uniform(0.1, 0.3) * padding
     profile = [
         (0.45, -total, 0.0),
@@ -132,7 +134,7 @@ def make_seat(rng, *, half_width, half_depth, top, kind, exponent) -> tuple[Seat
         (0.42, -0.06 * dome, 1.0),
         (0.2, 0.0, 1.0),
     ]
-    return seat, [moved(cushion(profile, (half_width, half_depth), "seat", "seat", exponent=exponent), shaped)]
+    return seat, [moved(cushion(profile, (half_width, half_depth), "seat", "seat", **section), shaped)]
 
 
 def _planks(seat: Seat, count: int) -> list[Piece]:
@@ -153,12 +155,13 @@ def _planks(seat: Seat, count: int) -> list[Piece]:
     for k in range(count):
         z = -seat.half_depth + pitch * (k + 0.5)
         y = seat.top - 0.35 * seat.thickness
-        path = curve([(-seat.half_width, y, z), (seat.half_width, y, z)], 7)
-        half = np.tile([0.35 * seat.thickness, 0.5 * pitch - 0.006], (7, 1))
-        pieces.append(sweep(path, half, (0, 1, 0), "seat", "seat", exponent=9, n_around=16, bevel=0.006))
+        path = curve([(-seat.half_width, y, z), (seat.half_width, y, z)], 3)
+        half = np.tile([0.35 * seat.thickness, 0.5 * pitch - 0.006], (3, 1))
+        pieces.append(sweep(path, half, (0, 1, 0), "seat", "seat", exponent=9, n_around=12, bevel=0.006))
     for x in (-0.78, 0.0, 0.78):
-        path = curve([(x * seat.half_width, y - 0.5 * seat.thickness, end * seat.half_depth) for end in (-0.97, 0.97)], 5)
-        half = np.tile([0.32 * seat.thickness, 0.02], (5, 1))
+        under = y - 0.5 * seat.thickness
+        path = curve([(x * seat.half_width, under, end * seat.half_depth) for end in (-0.97, 0.97)], 3)
+        half = np.tile([0.32 * seat.thickness, 0.02], (3, 1))
         pieces.append(sweep(path, half, (0, 1, 0), "seat", "seat", exponent=9, n_around=12, bevel=0.004))
     return [readdressed(piece, address) for piece in pieces]
 
@@ -166,7 +169,7 @@ def _planks(seat: Seat, count: int) -> list[Piece]:
 # ----------------------------------------------------------------------------------------------------------- legs
 
 
-def _leg_profile(kind: str, half: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float, int]:
+def _leg_profile(kind: str, half: Number, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float, int]:
     """(u, half sizes (m, 2), exponent, points around) of a leg from its top to its foot."""
     if kind == "turned":
         foot = rng.uniform(0.55, 0.8)
@@ -185,10 +188,10 @@ def _leg_profile(kind: str, half: float, rng: np.random.Generator) -> tuple[np.n
             (0.8, 1.05),
             (1.0, foot),
         ]
-        u = np.unique(np.concatenate([np.linspace(0, 1, 22), [k[0] for k in knots]]))
+        u = np.unique(np.concatenate([np.linspace(0, 1, 8), [k[0] for k in knots]]))
         radius = half * monotone(knots, u)[:, 0]
         return u, np.stack([radius, radius], axis=1), 2.0, 12
-    u = np.linspace(0, 1, 10)
+    u = np.linspace(0, 1, 8)
     tip = rng.uniform(0.5, 0.75) if kind != "straight" else rng.uniform(0.9, 1.0)
     size = half * (1 + (tip - 1) * u ** rng.uniform(1.0, 1.6))
     flat = rng.uniform(0.85, 1.15)
@@ -197,7 +200,7 @@ def _leg_profile(kind: str, half: float, rng: np.random.Generator) -> tuple[np.n
 
 
 def make_legs(
-    seat: Seat, rng: np.random.Generator, *, half: float, spread: float, stool: bool = False
+    seat: Seat, rng: np.random.Generator, *, half: Number, spread: Number, stool: bool = False
 ) -> list[Piece]:
     """Four legs under a seat and what ties them together; ``half`` is their half thickness at the top (metres)."""
     kind = str(rng.choice(["straight", "square", "round", "turned", "sabre"], p=[0.18, 0.22, 0.28, 0.17, 0.15]))

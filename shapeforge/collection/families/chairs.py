@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from shapeforge.collection.families.chair_backs import make_arms, make_back
-from shapeforge.collection.families.chair_frames import Seat, make_legs, make_seat
+from shapeforge.collection.families.chair_frames import make_legs, make_seat
 from shapeforge.collection.families.solids import Piece, curve, mirrored, revolve, sweep
 
 PARTS = ("back", "seat", "leg", "arm", "column", "base")
@@ -46,7 +46,7 @@ LANDMARKS = {
     "back_top_middle": ("back", (0.5, 1.0, 0.5)),
     **{
         f"arm_{end}_{side}": (f"arm {side}", (u, 0.5, 0.5))
-        for end, u in (("rear", 0.0), ("front", 0.6))
+        for end, u in (("rear", 0.0), ("front", 0.55))
         for side in ("left", "right")
     },
     "column_top": ("column", (0.0, 0.5, 0.5)),
@@ -82,8 +82,6 @@ def build_chair(fine_class: str, rng: np.random.Generator) -> list[Piece]:
     return pieces
 
 
-
-
 def _swivel_chair(rng: np.random.Generator) -> list[Piece]:
     seat, pieces = make_seat(
         rng,
@@ -103,7 +101,7 @@ def _swivel_chair(rng: np.random.Generator) -> list[Piece]:
     return pieces + _column(seat.bottom, hub, rng) + _star(hub, reach, wheel, rng)
 
 
-def _column(top: float, hub: float, rng: np.random.Generator) -> list[Piece]:
+def _column(top: Number, hub: float, rng: np.random.Generator) -> list[Piece]:
     """A plate under the seat and a two-stage gas lift down into the hub."""
     wide, thin = rng.uniform(0.026, 0.034), rng.uniform(0.014, 0.02)
     step = (top - hub) * rng.uniform(0.35, 0.6)
@@ -128,7 +126,7 @@ def _column(top: float, hub: float, rng: np.random.Generator) -> list[Piece]:
     return [revolve(profile, (0, top + 0.004, 0), (0, -1, 0), "column", "column")]
 
 
-def _star(hub: float, reach: float, wheel: float, rng: np.random.Generator) -> list[Piece]:
+def _star(hub: Number, reach: float, wheel: float, rng: np.random.Generator) -> list[Piece]:
     """Hub, five spokes (the first points to the front, 2 and 5, 3 and 4 are mirror images) and their castors."""
     r = rng.uniform(0.038, 0.05)
     body = [(0.0, 0.6 * r), (0.0, 0.85 * r), (0.006, 0.95 * r), (0.03, r), (0.045, 0.97 * r), (0.05, 0.7 * r)]
@@ -148,9 +146,9 @@ def _star(hub: float, reach: float, wheel: float, rng: np.random.Generator) -> l
                 out * 0.5 * reach + [0, hub - 0.012 - 0.5 * drop + arch, 0],
                 out * reach + [0, hub - 0.012 - drop, 0],
             ],
-            9,
+            7,
         )
-        u = np.linspace(0, 1, 9)
+        u = np.linspace(0, 1, 7)
         half = np.stack([broad + (slim - broad) * u, 0.017 + (0.009 - 0.017) * u], axis=1)
         side = np.cross([0, 1, 0], out)
         spoke = sweep(path, half, side, "base", f"base spoke {k + 1}", exponent=4.5, n_around=12, bevel=0.008)
@@ -161,7 +159,7 @@ def _star(hub: float, reach: float, wheel: float, rng: np.random.Generator) -> l
             middle = np.array([place[0], wheel, place[2]])
             for half_wheel in (-1, 1):
                 origin = middle + half_wheel * 0.004 * side
-                made.append(revolve(barrel, origin, half_wheel * side, "base", f"castor {k + 1}", n_around=16))
+                made.append(revolve(barrel, origin, half_wheel * side, "base", f"castor {k + 1}", n_around=12))
             stem = [(0.0, 0.008), (place[1] - wheel, 0.008)]
             made.append(revolve(stem, middle, (0, 1, 0), "base", f"castor {k + 1}", n_around=8))
         else:
@@ -174,7 +172,7 @@ def _star(hub: float, reach: float, wheel: float, rng: np.random.Generator) -> l
     return pieces
 
 
-_BARREL = ((0.0, 0.55), (0.0, 0.95), (0.12, 1.0), (0.55, 1.0), (0.85, 0.93), (1.0, 0.7), (1.0, 0.3))
+_BARREL = ((0.0, 0.95), (0.12, 1.0), (0.6, 1.0), (0.9, 0.88), (1.0, 0.55))
 
 
 def _stool(rng: np.random.Generator) -> list[Piece]:
@@ -193,7 +191,7 @@ def _stool(rng: np.random.Generator) -> list[Piece]:
     return pieces + make_legs(seat, rng, half=rng.uniform(0.014, 0.02), spread=0.75, stool=True)
 
 
-def _disc(radius: float, rng: np.random.Generator) -> list[Piece]:
+def _disc(radius: Number, rng: np.random.Generator) -> list[Piece]:
     high = rng.uniform(0.03, 0.05)
     rim = 0.012
     profile = [

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from shapeforge.collection.families.solids import Vector
 from shapeforge.collection.shape import Mesh
 
 # a leg's length says more about a place than where around it one is; so u weighs more than v and w
@@ -40,17 +41,19 @@ class Generated:
         return tuple(self.component_names[i] for i in present)
 
     @cached_property
-    def _searcher(self) -> dict[int, tuple[cKDTree, np.ndarray, np.ndarray]]:
-        """For every component: tree of addresses sampled inside its triangles, their positions, their triangles."""
-        corners = self.mesh.vertices[self.mesh.triangles]
-        found = {}
-        for component in np.unique(self.address[:, 0, 0].astype(int)):
+    def _searchers(self) -> dict[int, tuple[cKDTree, np.ndarray] | None]:
+        return {}
+
+    def _searcher(self, component: int) -> tuple[cKDTree, np.ndarray] | None:
+        """Tree of the addresses sampled inside a component's triangles, and their positions; None without any."""
+        if component not in self._searchers:
             chosen = np.flatnonzero(self.address[:, 0, 0].astype(int) == component)
             weights = _lattice(8)
             address = np.einsum("sc,ncd->nsd", weights, self.address[chosen, :, 1:4]).reshape(-1, 3)
-            positions = np.einsum("sc,ncd->nsd", weights, corners[chosen]).reshape(-1, 3)
-            found[int(component)] = (cKDTree(address * AXIS_WEIGHT), positions, np.repeat(chosen, len(weights)))
-        return found
+            corners = self.mesh.vertices[self.mesh.triangles[chosen]]
+            positions = np.einsum("sc,ncd->nsd", weights, corners).reshape(-1, 3)
+            self._searchers[component] = (cKDTree(address * AXIS_WEIGHT), positions) if len(chosen) else None
+        return self._searchers[component]
 
 
 def _lattice(n: int) -> np.ndarray:
@@ -58,6 +61,14 @@ def _lattice(n: int) -> np.ndarray:
     i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij")
     keep = i + j <= n
     return np.stack([i[keep], j[keep], n - i[keep] - j[keep]], axis=1) / n
+
+
+def corner_at(generated: Generated, component: int, address: Vector) -> Float[np.ndarray, " 3"]:
+    """The vertex of a component whose address is nearest: where landmarks are put."""
+    triangle, corner = np.nonzero(generated.address[:, :, 0].astype(int) == component)
+    off = (generated.address[triangle, corner, 1:4] - np.asarray(address)) * AXIS_WEIGHT
+    nearest = np.argmin((off**2).sum(axis=1))
+    return generated.mesh.vertices[generated.mesh.triangles[triangle[nearest], corner[nearest]]]
 
 
 def address_at(
@@ -76,9 +87,10 @@ def position_of(
     A slatted back has no surface at the address of a gap: the distance says so.  NaN and infinity where the shape
     does not have the component.
     """
-    if component not in generated._searcher:
+    searcher = generated._searcher(component)
+    if searcher is None:
         return np.full((len(address), 3), np.nan), np.full(len(address), np.inf)
-    tree, positions, _ = generated._searcher[component]
+    tree, positions = searcher
     distance, nearest = tree.query(address * AXIS_WEIGHT)
     return positions[nearest], distance
 
@@ -88,7 +100,7 @@ def corresponding_point(
     points: Float[np.ndarray, "n 3"],
     generated_b: Generated,
     *,
-    tolerance: float = 0.15,
+    tolerance: Number = 0.15,
 ) -> Float[np.ndarray, "n 3"]:
     """The points (n, 3) of shape B that mean the same place as ``points`` (n, 3) of shape A, both in file coordinates.
 

@@ -15,6 +15,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
+Number = float | int | np.floating  # plain literals and drawn numbers alike
+Pair = tuple[Number, Number]
+Vector = Sequence[Number] | np.ndarray  # three numbers
+Table = Sequence[Sequence[Number] | np.ndarray] | np.ndarray  # rows of as many numbers
+
 
 @dataclass(frozen=True, eq=False)
 class Piece:
@@ -27,7 +32,7 @@ class Piece:
     component: str
 
 
-def square_ring(n_around: int, exponent: float = 2.0) -> Float[np.ndarray, "n 2"]:
+def square_ring(n_around: int, exponent: Number = 2.0) -> Float[np.ndarray, "n 2"]:
     """``n_around`` (a multiple of 4) points around the square [-1, 1]^2, anticlockwise from the corner (1, -1).
 
     They are spread for the section they are meant for: even angles for a round one (exponent 2), nearer to the
@@ -44,21 +49,21 @@ def square_ring(n_around: int, exponent: float = 2.0) -> Float[np.ndarray, "n 2"
     return np.concatenate([np.c_[one, t], np.c_[-t, one], np.c_[-one, -t], np.c_[t, -one]])
 
 
-def squircle(square: Float[np.ndarray, "... 2"], exponent: float) -> Float[np.ndarray, "... 2"]:
-    """Points of the square [-1, 1]^2 moved along their rays into |x|^e + |y|^e <= 1 (e = 2 a disc, large e the square)."""
+def squircle(square: Float[np.ndarray, "... 2"], exponent: Number) -> Float[np.ndarray, "... 2"]:
+    """Points of the square [-1, 1]^2 moved along their rays into |x|^e + |y|^e <= 1 (e = 2: a disc)."""
     largest = np.abs(square).max(axis=-1, keepdims=True)
     norm = (np.abs(square) ** exponent).sum(axis=-1, keepdims=True) ** (1 / exponent)
     return square * np.divide(largest, norm, out=np.ones_like(norm), where=norm > 0)
 
 
-def unsquircle(inside: Float[np.ndarray, "... 2"], exponent: float) -> Float[np.ndarray, "... 2"]:
+def unsquircle(inside: Float[np.ndarray, "... 2"], exponent: Number) -> Float[np.ndarray, "... 2"]:
     """The inverse of :func:`squircle`."""
     largest = np.abs(inside).max(axis=-1, keepdims=True)
     norm = (np.abs(inside) ** exponent).sum(axis=-1, keepdims=True) ** (1 / exponent)
     return inside * np.divide(norm, largest, out=np.ones_like(norm), where=largest > 0)
 
 
-def curve(points: Sequence[Sequence[float]], n: int) -> Float[np.ndarray, "n 3"]:
+def curve(points: Table, n: int) -> Float[np.ndarray, "n 3"]:
     """A smooth curve through the given points, at ``n`` parameters evenly spread over its chord lengths."""
     points = np.asarray(points, dtype=float)
     at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
@@ -67,15 +72,13 @@ def curve(points: Sequence[Sequence[float]], n: int) -> Float[np.ndarray, "n 3"]
     return CubicSpline(at, points, bc_type="natural")(np.linspace(0, at[-1], n))
 
 
-def monotone(knots: Sequence[tuple[float, ...]], at: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n d"]:
+def monotone(knots: Table, at: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n d"]:
     """Values (n, d) at ``at`` of the curve through ``knots`` (place, value...): no overshoot between the knots."""
     table = np.asarray(knots, dtype=float)
     return PchipInterpolator(table[:, 0], table[:, 1:])(at)
 
 
-def loft(
-    rings: Float[np.ndarray, "m n 3"], address: Float[np.ndarray, "m n 3"], part: str, component: str
-) -> Piece:
+def loft(rings: Float[np.ndarray, "m n 3"], address: Float[np.ndarray, "m n 3"], part: str, component: str) -> Piece:
     """The closed surface through ``m`` rings of ``n`` points, ends closed by fans around the rings' centres.
 
     The winding is turned outward whatever the order of the rings.
@@ -117,15 +120,15 @@ def _reversed(faces: np.ndarray) -> np.ndarray:
 def sweep(
     path: Float[np.ndarray, "m 3"],
     half: Float[np.ndarray, "m 2"],
-    side: Sequence[float],
+    side: Vector,
     part: str,
     component: str,
     *,
-    exponent: float = 2.0,
+    exponent: Number = 2.0,
     n_around: int = 12,
-    bevel: float = 0.0,
-    level: Sequence[float] | None = None,
-    along: tuple[float, float] = (0.0, 1.0),
+    bevel: Number = 0.0,
+    level: Vector | None = None,
+    along: Pair = (0.0, 1.0),
 ) -> Piece:
     """A section carried along a path.
 
@@ -171,14 +174,14 @@ def _bevelled(path, half, u, bevel):
 
 
 def revolve(
-    profile: Sequence[tuple[float, float]],
-    origin: Sequence[float],
-    axis: Sequence[float],
+    profile: Table,
+    origin: Vector,
+    axis: Vector,
     part: str,
     component: str,
     *,
     n_around: int = 16,
-    along: tuple[float, float] = (0.0, 1.0),
+    along: Pair = (0.0, 1.0),
 ) -> Piece:
     """A turned solid: ``profile`` lists (distance along the axis, radius); u follows the profile's own length."""
     table = np.asarray(profile, dtype=float)
@@ -199,12 +202,12 @@ def revolve(
 
 
 def cushion(
-    profile: Sequence[tuple[float, float, float]],
-    half: tuple[float, float],
+    profile: Table,
+    half: Pair,
     part: str,
     component: str,
     *,
-    exponent: float,
+    exponent: Number,
     n_around: int = 32,
 ) -> Piece:
     """A flat rounded body lying in the xz-plane: ``profile`` lists (share of the plan, height, w) from below to above.
@@ -225,9 +228,7 @@ def cushion(
     return loft(rings, address, part, component)
 
 
-def torus(
-    centre: Sequence[float], half: tuple[float, float], radius: float, part: str, component: str, *, n_around: int = 40
-) -> Piece:
+def torus(centre: Vector, half: Pair, radius: Number, part: str, component: str, *, n_around: int = 40) -> Piece:
     """A closed horizontal ring, elliptical with half axes ``half`` along x and z.  Address: u, v plan, w height."""
     square = square_ring(n_around)
     plan = squircle(square, 2.0)
