@@ -114,17 +114,19 @@ def dissimilarity(
     *,
     n_points: int = 256,
     starts: Sequence[str] = ("spread",),
-    stretch_weight: float = 0.1,
+    stretch_weight: float = 0.4,
+    max_iterations: int = 12,
 ) -> float:
     """How much deformation maps the points of one shape to those of the other, both ways (§2), in diagonals.
 
     The distance left after the best affine map (a -> b and b -> a, averaged) plus ``stretch_weight`` times the mean
-    distance over which that map moves the points: stretching counts, but far less than what no affine map explains.
-    Symmetric in its arguments; 0 for equal shapes.
+    distance over which that map moves the points: stretching counts, but less than what no affine map explains.
+    (Among furniture and airplanes of known classes, .4 kept more nearest neighbours and groups within one class than
+    0 or 1 did.)  Symmetric in its arguments; 0 for equal shapes.
     """
     both = []
     for source, target in ((a, b), (b, a)):
-        found = affine_align(source, target, starts=starts, n_points=n_points)
+        found = affine_align(source, target, starts=starts, n_points=n_points, max_iterations=max_iterations)
         sample = thinned(source, n_points)
         moved = float(np.linalg.norm(found(sample) - sample, axis=1).mean())
         both.append(found.residual + stretch_weight * moved)
