@@ -34,23 +34,17 @@ def main() -> None:
 
 def run_command(arguments: list[str]) -> int:
     """Run one command line (without the program's name); its exit status."""
-    import click
-
     try:
-        result = app(arguments, standalone_mode=False)
-        return result if isinstance(result, int) else 0
-    except click.ClickException as error:
-        error.show()
-        return error.exit_code
-    except (KeyboardInterrupt, click.exceptions.Abort):
-        print("Stopped. Run the same command again and it goes on.", file=sys.stderr)
-        return 130
+        app(arguments, prog_name="shapeforge")
+    except SystemExit as done:
+        return done.code if isinstance(done.code, int) else 0
     except BrokenPipeError:
         sys.stderr.close()
         return 1
     except Exception as error:  # every failure becomes one line that says what to do
         print(f"error: {one_line(error)}", file=sys.stderr)
         return 1
+    return 0
 
 
 def one_line(error: BaseException) -> str:
@@ -96,7 +90,11 @@ def follow(project: Any, steps: Iterator[Any], what: str) -> Any:
                 )  # fmt: skip
                 if not console.is_terminal and latest.phase in ("fit", "alternate") and latest.message:
                     console.print(f"  {latest.message}", markup=False)
-    except BaseException as error:
+    except KeyboardInterrupt:
+        project.log(f"{what}: stopped from the keyboard")
+        print("Stopped. Run the same command again and it goes on.", file=sys.stderr)
+        raise typer.Exit(130) from None
+    except Exception as error:
         project.log(f"{what}: {type(error).__name__}: {error}", error)
         raise
     return latest

@@ -151,8 +151,7 @@ def _import_one(
         mesh = read_mesh(reading.file)
         rng = np.random.default_rng([int(options["seed"]), int(reading.sha256[:15], 16)])
         shape = prepare_shape(reading.name, mesh, n_points=int(options["points"]), up=options["up"], rng=rng)
-        notes = list(repair_notes(mesh))
-        notes += [note for note in getattr(shape, "notes", ()) if note not in notes]
+        doubts = list(repair_notes(mesh))
     except MeshError as error:
         return None, [Problem(source, "error", error.problem, error.remedy)], error
     except (ValueError, ArithmeticError, MemoryError, IndexError) as error:
@@ -168,9 +167,13 @@ def _import_one(
     record = {
         "file": str(copy), "source": source, "sha256": reading.sha256, "key": reading.key,
         "modified": stamp.st_mtime_ns if stamp else 0, "size": stamp.st_size if stamp else 0,
-        "n_faces": int(mesh.n_faces), "n_triangles": len(mesh.triangles), "notes": notes,
+        "n_faces": int(mesh.n_faces), "n_triangles": len(mesh.triangles), "notes": list(shape.notes),
     }  # fmt: skip
-    return record, [Problem(source, "warning", note) for note in notes], None
+    warnings = [Problem(source, "warning", doubt) for doubt in doubts]
+    if options["up"] == "auto" and not np.array_equal(shape.frame.rotation, np.eye(3)):
+        remedy = "If that is wrong, import it again with --up keep, x, y or z"
+        warnings.append(Problem(source, "warning", shape.notes[0], remedy))
+    return record, warnings, None
 
 
 # -- group -----------------------------------------------------------------------------------------------------------

@@ -89,7 +89,7 @@ def face_and_point_probabilities(project: Project, shape: Shape, part_names: Par
         "labels": project.face_probabilities(shape.name), "ids": np.array(part_names.ids, np.int64),
         "samples": shape.frame.to_input(shape.points), "template": np.int64(beliefs.template),
         "point": np.repeat(np.arange(shape.n_points), np.diff(candidates.offsets)),
-        "template_point": candidates.template_index, "correspondence": np.asarray(sparse.probability, np.float32),
+        "template_point": candidates.template_index, "correspondence": np.asarray(sparse.q, np.float32),
     }  # fmt: skip
 
 
