@@ -10,6 +10,7 @@ import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Protocol
+from weakref import WeakKeyDictionary
 
 from shapeforge.viewer.session import PLACES, Session
 
@@ -183,10 +184,25 @@ def needs_rest(session: Session) -> Verdict:
     return YES
 
 
+_groups_read: WeakKeyDictionary[Any, tuple[Any, Any]] = WeakKeyDictionary()
+
+
+def groups_of(session: Session) -> Any:
+    """The project's groups (None without), read from disk only when they changed."""
+    project = session.project
+    if project is None:
+        return None
+    stamp = (project.groups_key, project.names)
+    kept = _groups_read.get(project)
+    if kept is None or kept[0] != stamp:
+        kept = _groups_read[project] = (stamp, project.groups)
+    return kept[1]
+
+
 def unpainted_exemplars(session: Session) -> tuple[str, ...]:
     """Names of the exemplars without any labels."""
     project = session.project
-    groups = None if project is None else project.groups
+    groups = groups_of(session)
     if groups is None:
         return ()
     labelled = set(project.labelled)
@@ -244,7 +260,7 @@ def place_mark(actions: Actions, place: str) -> tuple[str, str]:
         return "locked", why
     status = actions.stage_status()
     if place == "paint":
-        groups = session.project.groups
+        groups = groups_of(session)
         left = unpainted_exemplars(session)
         if groups is None:
             return "", ""
@@ -412,7 +428,7 @@ def _can_paint_next(session: Session) -> Verdict:
     can, why = needs_project(session)
     if not can:
         return can, why
-    if session.project.groups is None:
+    if groups_of(session) is None:
         return False, "Group the shapes first."
     return YES if next_to_paint(session) else (False, "Every exemplar is painted.")
 
@@ -424,7 +440,7 @@ def _paint_next(session: Session) -> None:
 
 def group_of(session: Session, name: str | None) -> int:
     """Number of the group of a shape; -1 when it has none (left out, or nothing is grouped)."""
-    groups = None if session.project is None else session.project.groups
+    groups = groups_of(session)
     if groups is None or name not in session.project.names:
         return -1
     return int(groups.group[session.project.names.index(name)])
@@ -440,7 +456,7 @@ def can_make_exemplar(session: Session) -> Verdict:
     g = group_of(session, session.shape)
     if g < 0:
         return False, f"{session.shape} belongs to no group."
-    if session.project.names[session.project.groups.exemplars[g]] == session.shape:
+    if session.project.names[groups_of(session).exemplars[g]] == session.shape:
         return False, f"{session.shape} is the exemplar already."
     return YES
 
@@ -449,7 +465,7 @@ def make_exemplar(session: Session) -> None:
     """Let the selected shape stand for its group; can be undone."""
     project, name = session.project, session.shape
     g = group_of(session, name)
-    before = project.groups
+    before = groups_of(session)
     exemplars = before.exemplars.copy()
     exemplars[g] = project.names.index(name)
     _change_groups(session, f"exemplar {name}", before, dataclasses.replace(before, exemplars=exemplars))
@@ -461,9 +477,9 @@ def can_leave_out(session: Session) -> Verdict:
     can, why = needs_rest(session)
     if not can:
         return can, why
-    if session.shape is None or session.project.groups is None:
+    if session.shape is None or groups_of(session) is None:
         return False, "Select a grouped shape first."
-    if session.project.names.index(session.shape) in session.project.groups.exemplars:
+    if session.project.names.index(session.shape) in groups_of(session).exemplars:
         return False, f"{session.shape} is an exemplar: choose another one for its group first."
     return YES
 
@@ -473,7 +489,7 @@ def leave_out(session: Session) -> None:
     import numpy as np
 
     project, name = session.project, session.shape
-    t, before = project.names.index(name), project.groups
+    t, before = project.names.index(name), groups_of(session)
     group = before.group.copy()
     if group[t] >= 0:
         group[t] = -1

@@ -125,12 +125,28 @@ def pixmap(name: str, colour: str, size: int = 16, ratio: float = 2.0) -> QPixma
     return _drawn(name, colour, size, ratio)
 
 
-def icon(name: str, theme: palette.Theme = "dark", role: str = "text_2", size: int = 16) -> QIcon:
-    """The icon ``name`` in the colour token ``role``; its disabled form is drawn in the token "text_off"."""
+def icon(name: str, theme: palette.Theme = "dark", role: str = "text_2", size: int = 16, gap: int = 0) -> QIcon:
+    """The icon ``name`` in the colour token ``role``; its disabled form is drawn in the token "text_off".
+
+    ``gap`` pixels stay free at its right (negative: left), towards the words of a button.
+    """
     colours = palette.tokens(theme)
-    result = QIcon(pixmap(name, colours[role], size))
-    result.addPixmap(pixmap(name, colours["text_off"], size), QIcon.Mode.Disabled)
+    result = QIcon(_with_gap(pixmap(name, colours[role], size), size, gap))
+    result.addPixmap(_with_gap(pixmap(name, colours["text_off"], size), size, gap), QIcon.Mode.Disabled)
     return result
+
+
+def _with_gap(drawn: QPixmap, size: int, gap: int) -> QPixmap:
+    if gap == 0:
+        return drawn
+    ratio = drawn.devicePixelRatio()
+    wide = QPixmap(round((size + abs(gap)) * ratio), round(size * ratio))
+    wide.setDevicePixelRatio(ratio)
+    wide.fill(Qt.GlobalColor.transparent)
+    painter = QPainter(wide)
+    painter.drawPixmap(max(-gap, 0), 0, drawn)
+    painter.end()
+    return wide
 
 
 def set_icon(widget: QAbstractButton | QLabel, name: str, role: str = "text_2", size: int = 16) -> None:
@@ -146,8 +162,9 @@ def _show(widget: QAbstractButton | QLabel, theme: palette.Theme) -> None:
     if isinstance(widget, QLabel):
         widget.setPixmap(pixmap(name, palette.tokens(theme)[role], size))
     else:
-        widget.setIcon(icon(name, theme, role, size))
-        widget.setIconSize(QSize(size, size))
+        gap = 0 if not widget.text() else -4 if widget.layoutDirection() == Qt.LayoutDirection.RightToLeft else 4
+        widget.setIcon(icon(name, theme, role, size, gap))
+        widget.setIconSize(QSize(size + abs(gap), size))
 
 
 def refresh(root: QWidget, theme: palette.Theme) -> None:

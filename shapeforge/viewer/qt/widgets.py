@@ -108,16 +108,23 @@ class ElidedLabel(QLabel):
         self._mode = mode
         if role:
             self.setProperty("role", role)
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         self.setText(text)
 
     def setText(self, text: str) -> None:  # noqa: N802 (Qt's name)
         self._full = text
         self._elide()
+        self.updateGeometry()
 
     def full_text(self) -> str:
         """The whole text."""
         return self._full
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        self.ensurePolished()
+        return QSize(QFontMetrics(self.font()).horizontalAdvance(self._full) + 2, super().sizeHint().height())
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802
+        return QSize(16, super().minimumSizeHint().height())
 
     def resizeEvent(self, event: object) -> None:  # noqa: N802
         super().resizeEvent(event)
@@ -261,6 +268,7 @@ class Segments(QFrame):
             self._buttons[key] = one
             box.addWidget(one)
         self.setLayout(box)
+        self.setFixedHeight(30)
         self.set_value(value)
 
     def _click(self, value: str) -> None:

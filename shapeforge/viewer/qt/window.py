@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from PySide6.QtCore import QObject, Qt, Signal
 from PySide6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent, QKeySequence
-from PySide6.QtWidgets import QDialog, QFileDialog, QFrame, QGridLayout, QHBoxLayout, QStackedWidget, QWidget
+from PySide6.QtWidgets import QApplication, QDialog, QFileDialog, QFrame, QGridLayout, QHBoxLayout, QStackedWidget, QWidget
 
 from shapeforge.viewer.actions import PLACE_NAMES, Actions, place_verdict
 from shapeforge.viewer.qt import icons
@@ -81,7 +81,8 @@ class Window(QWidget):
         self.setAcceptDrops(True)
         self.session = session if session is not None else Session()
         self.setProperty("theme", self.session.theme)
-        self.setFont(font())
+        # The style sheet changes sizes and weights only; the family and its tabular figures come from here.
+        QApplication.setFont(font())
         self.setStyleSheet(style_sheet(self.session.theme))
         self._mail = _Mail()
         self._mail.arrived.connect(self._read_mail)

@@ -1,0 +1,532 @@
+"""Collection: the family at a glance, its groups and their exemplars, what was not read, and which to paint next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from html import escape
+from pathlib import Path
+
+import numpy as np
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QGuiApplication, QPixmap
+from PySide6.QtWidgets import QFrame, QProgressBar, QScrollArea, QWidget
+
+from shapeforge.viewer.actions import (
+    Actions,
+    can_make_exemplar,
+    group_of,
+    groups_of,
+    next_to_paint,
+    unpainted_exemplars,
+)
+from shapeforge.viewer.palette import rgb
+from shapeforge.viewer.qt.bind import ENABLING, Binding, action_button
+from shapeforge.viewer.qt.group_map import GroupMap, MapContent, group_colour
+from shapeforge.viewer.qt.icons import refresh, set_icon
+from shapeforge.viewer.qt.theme import PADDING
+from shapeforge.viewer.qt.thumbnails import Thumbnails
+from shapeforge.viewer.qt.widgets import (
+    Choice,
+    Clickable,
+    ElidedLabel,
+    Picture,
+    Segments,
+    Swatch,
+    button,
+    clear,
+    column,
+    framed,
+    heading,
+    icon_label,
+    label,
+    row,
+    scrolled,
+    section,
+    separator,
+)
+from shapeforge.viewer.runner import duration
+from shapeforge.viewer.session import Session
+
+PREVIEW = (280, 176)
+MAP_PICTURE = 160
+HINTS = {
+    "map": "Near means similar. Wheel zooms, drag pans, Shift-drag selects, Home shows all.",
+    "grid": "Group by group. Wheel scrolls, Shift-drag selects.",
+    "choose": "Click the shape that should stand for {group}; Esc leaves it as it is.",
+}
+
+
+class CollectionPlace:
+    """Map or grid in the centre, groups and import in the inspector, exemplars to paint in the strip."""
+
+    def __init__(self, session: Session, actions: Actions, view_factory: Callable[[], QWidget]) -> None:
+        self.session, self.actions = session, actions
+        self.binding = Binding(session)
+        self.pictures = Thumbnails(session)
+        self.group = 0
+        self.choosing = False
+        self.map = GroupMap(self._map_picture, self._about)
+        self.toolbar_widget = self._make_tools()
+        self.centre = self._make_centre()
+        self.inspector = self._make_inspector()
+        self.strip = self._make_strip()
+        self.map.clicked.connect(self._click)
+        self.map.lassoed.connect(self._select)
+        self.map.opened.connect(self._open)
+        self.map.group_clicked.connect(self._show_group)
+        self.pictures.arrived.connect(self._pictures_changed)
+        self.binding.on(("project", "data", "colour_by"), self._show_all, now=False)
+        self.binding.on(("theme",), self._show_all, now=False)
+        self.binding.on(("shape", "selected"), self._show_selection, now=False)
+        self.binding.on(("running", "progress", "status"), self._show_progress, now=False)
+
+    def enter(self) -> None:
+        """Show the project as it is now."""
+        self._show_all()
+        self.map.setFocus()
+
+    def leave(self) -> None:
+        """Pictures that are still to be taken can wait."""
+        self._choose(False)
+        self.pictures.forget()
+
+    def close(self) -> None:
+        """The window closes: hear no more of the session."""
+        self.binding.close()
+        self.pictures.forget()
+
+    # -- making ----------------------------------------------------------------------------------------------------
+
+    def _make_tools(self) -> QWidget:
+        self.mode = Segments([("map", "Map", "map"), ("grid", "Grid", "grid")], "map")
+        self.mode.chosen.connect(lambda _: self._show_map())
+        self.colour_choice = Choice("Colour by", [], "group")
+        self.colour_choice.chosen.connect(lambda value: setattr(self.session, "colour_by", value))
+        self.lasso = button(icon="lasso", kind="tool", checkable=True, tooltip="Drag selects (also: Shift and drag)")
+        self.lasso.toggled.connect(lambda on: setattr(self.map, "lasso_always", on))
+        self.import_button = action_button(self.actions, "import_files", self.binding)
+        bar = row(self.mode, self.colour_choice, None, self.lasso, self.import_button, margins=(PADDING, 0, PADDING, 0))
+        return framed(bar)
+
+    def _make_centre(self) -> QWidget:
+        self.hint = label(HINTS["map"], "caption_off")
+        self.count = label("", "caption_off")
+        foot = row(self.hint, None, self.count, margins=(PADDING, 0, PADDING, 8))
+        over = column(None, foot, spacing=0)
+        self.map.setLayout(over)
+        for one in (self.hint, self.count):
+            one.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        return self.map
+
+    def _make_inspector(self) -> QWidget:
+        self.group_count = label("", "off")
+        self.group_again = action_button(self.actions, "group", self.binding, text="", kind="icon")
+        set_icon(self.group_again, "rotate")
+        self.group_list = column(spacing=2)
+        groups = column(
+            row(label("Groups", "heading"), self.group_count, None, self.group_again, margins=(PADDING, 0, 10, 4)),
+            column(self.group_list, margins=(8, 0, 8, 0)),
+            spacing=0,
+            margins=(0, 8, 0, 12),
+        )
+        holder = QWidget()
+        holder.setLayout(column(groups, separator(), spacing=0))
+        self.exemplar_title, self.typical = label("", "heading"), label("", "caption")
+        self.preview = Picture(PREVIEW)
+        self.preview_name, self.preview_about = label("", "strong"), label("", "caption")
+        words = column(self.preview_name, self.preview_about, None, spacing=0, margins=(12, 10, 12, 8))
+        self.look = action_button(self.actions, "look_at", self.binding, text="", kind="icon")
+        words.addLayout(row(None, self.look))
+        self.preview.setLayout(words)
+        self.choose_button = button("Choose another exemplar…", icon="swap")
+        self.choose_button.clicked.connect(self._press_choose)
+        self.exemplar_section = section(
+            row(self.exemplar_title, None, self.typical), framed(row(self.preview), "preview"), self.choose_button
+        )
+        self.read_count = label("", "off")
+        self.copy = button("Copy list", kind="link", tooltip="Copy the list of problems as text")
+        self.copy.clicked.connect(self._copy_problems)
+        self.problem_list = column(spacing=8)
+        self.import_section = section(
+            row(label("Import", "heading"), self.read_count, None, self.copy), self.problem_list, line=False
+        )
+        return scrolled(holder, self.exemplar_section, self.import_section)
+
+    def _make_strip(self) -> QWidget:
+        self.strip_title, self.strip_count = label("Exemplars to paint", "heading"), label("", "text2")
+        self.done_icon = icon_label("check", "ok")
+        self.status = ElidedLabel("", "text2")
+        self.bar = QProgressBar()
+        self.bar.setTextVisible(False)
+        self.bar.setFixedWidth(160)
+        self.stop = action_button(self.actions, "stop", self.binding, kind="")
+        self.next = button("Next", kind="primary")
+        self.next.setLayoutDirection(Qt.LayoutDirection.RightToLeft)
+        set_icon(self.next, "right", "on_accent")
+        self.next.clicked.connect(self._press_next)
+        top = row(
+            self.strip_title, self.strip_count, None, self.done_icon, self.status, self.bar, self.stop, 4,
+            separator(vertical=True), 4, self.next, margins=(PADDING, 0, PADDING, 0),
+        )  # fmt: skip
+        self.cards = row(None, spacing=8, margins=(PADDING, 0, PADDING, 0))
+        inside = QWidget()
+        inside.setLayout(self.cards)
+        area = QScrollArea()
+        area.setObjectName("panel")
+        area.setFrameShape(QFrame.Shape.NoFrame)
+        area.setWidgetResizable(True)
+        area.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        area.setWidget(inside)
+        area.setFixedHeight(63)
+        head = framed(top, height=39)
+        result = QWidget()
+        result.setLayout(column(head, separator(), area, spacing=0))
+        return result
+
+    # -- showing ---------------------------------------------------------------------------------------------------
+
+    def _here(self) -> bool:
+        return self.session.project is not None and self.session.place == "collection"
+
+    def _show_all(self) -> None:
+        if not self._here():
+            return
+        groups = groups_of(self.session)
+        self.group = min(max(self.group, 0), max(len(groups) - 1, 0)) if groups is not None else 0
+        self._show_colours()
+        self._show_map()
+        self._show_groups()
+        self._show_problems()
+        self._show_selection()
+        self._show_strip()
+        self._show_progress()
+
+    def _show_colours(self) -> None:
+        options = [("group", "group"), ("plain", "nothing")]
+        if self.session.project.part_names is not None:
+            options.insert(1, ("painted", "painted part"))
+        if self.session.project.fit_names:
+            options.insert(1, ("fitted", "fitted part"))
+        value = self.session.colour_by if self.session.colour_by in dict(options) else "group"
+        self.colour_choice.set_options(options, value)
+
+    def _show_map(self) -> None:
+        if not self._here():
+            return
+        project, groups = self.session.project, groups_of(self.session)
+        names = project.names
+        rows = self.mode.button("grid").isChecked()
+        if groups is None:
+            content = MapContent(names, np.zeros(len(names), int))
+        else:
+            content = MapContent(
+                names, groups.group, groups.exemplars, groups.embedding, group_names(len(groups)), grouped=True
+            )
+        self.map.set_content(content, rows=rows)
+        self.mode.button("map").setEnabled(groups is not None)
+        self.mode.button("map").setToolTip("" if groups is not None else "Group the shapes first.")
+        self._show_hint()
+
+    def _show_hint(self) -> None:
+        groups = groups_of(self.session)
+        if self.choosing:
+            self.hint.setText(HINTS["choose"].format(group=group_names(self.group + 1)[self.group]))
+        elif groups is None and not self.session.project.names:
+            self.hint.setText("No shapes yet: import some, or drop them here.")
+        else:
+            self.hint.setText(HINTS["grid" if groups is None or self.map.rows else "map"])
+
+    def _map_picture(self, name: str, g: int) -> QPixmap | None:
+        groups, by = groups_of(self.session), self.session.colour_by
+        if by == "painted" and self.session.project.label_key(name):
+            return self.pictures.shape(name, MAP_PICTURE, parts="painted")
+        if by == "fitted" and name in self.session.project.fit_names:
+            return self.pictures.shape(name, MAP_PICTURE, parts="fitted")
+        colour = None
+        if groups is not None and by == "group":
+            colour = rgb(group_colour(g, len(groups)))
+        return self.pictures.shape(name, MAP_PICTURE, colour=colour)
+
+    def _about(self, name: str) -> str:
+        """The hover card of a shape."""
+        project, groups = self.session.project, groups_of(self.session)
+        record = project.shape_record(name)
+        g = group_of(self.session, name)
+        group = f" · {group_names(g + 1)[g]}" if g >= 0 else " · left out" if groups is not None else ""
+        facts = [f"{record['n_faces']:,} faces".replace(",", " ")]
+        facts += [note for note in record.get("notes", ()) if len(note) < 40][:1]
+        if g >= 0 and groups.dissimilarity is not None:
+            t, e = project.names.index(name), int(groups.exemplars[g])
+            facts.append("the exemplar" if t == e else f"{groups.dissimilarity[t, e]:.2f} from its exemplar")
+        out = "X: put it back" if g < 0 and groups is not None else "X: leave it out"
+        keys = "Enter: look at it" + (f" · {out}" if groups is not None else "")
+        return f"<b>{escape(name)}</b>{escape(group)}<br>{escape(' · '.join(facts))}<br>{escape(keys)}"
+
+    def _show_groups(self) -> None:
+        clear(self.group_list)
+        groups = groups_of(self.session)
+        self.group_count.setText("" if groups is None else str(len(groups)))
+        self.group_rows: list[Clickable] = []
+        self.group_pictures: list[tuple[Picture, int]] = []
+        if groups is None:
+            told = label("Groups of similar shapes appear here once the shapes are grouped.", "caption", wrap=True)
+            self.group_list.addWidget(told)
+            self.group_list.setContentsMargins(8, 0, 8, 0)
+            return
+        self.group_list.setContentsMargins(0, 0, 0, 0)
+        for g, name in enumerate(group_names(len(groups))):
+            picture = Picture((34, 30))
+            disc = Swatch(group_colour(g, len(groups)), size=14, disc=True)
+            line = row(
+                disc, 2, label(name, "strong"), None, label(str(len(groups.members(g))), "text2"), 6, picture,
+                spacing=6, margins=(8, 2, 6, 2),
+            )  # fmt: skip
+            one = Clickable(line, "row", tooltip=f"Exemplar: {self.session.project.names[groups.exemplars[g]]}")
+            one.setFixedHeight(36)
+            one.clicked.connect(lambda g=g: self._show_group(g))
+            self.group_list.addWidget(one)
+            self.group_rows.append(one)
+            self.group_pictures.append((picture, g))
+
+    def _show_selection(self) -> None:
+        if not self._here():
+            return
+        session, groups = self.session, groups_of(self.session)
+        g = group_of(session, session.shape)
+        if g >= 0:
+            self.group = g
+        current = self.group if groups is not None else -1
+        self.map.set_selection(session.shape, session.selected, current)
+        for number, one in enumerate(getattr(self, "group_rows", ())):
+            one.set_current(number == current)
+        chosen = len(session.selected) or (1 if session.shape else 0)
+        self.count.setText(f"{chosen} of {len(session.project.names)} selected" if chosen else "")
+        self._show_exemplar()
+        self._show_cards_current()
+
+    def _show_exemplar(self) -> None:
+        groups, project = groups_of(self.session), self.session.project
+        self.exemplar_section.setVisible(groups is not None and len(groups) > 0)
+        if groups is None or not len(groups):
+            return
+        g = self.group
+        exemplar = project.names[groups.exemplars[g]]
+        self.exemplar_title.setText(f"Exemplar of {group_names(g + 1)[g]}")
+        self.typical.setText(typical_text(groups, g))
+        self.preview_name.setText(exemplar)
+        self.preview_about.setText(f"{project.shape_record(exemplar)['n_faces']:,} faces".replace(",", " "))
+        can, why = can_make_exemplar(self.session)
+        if self.choosing:
+            self.choose_button.setText("Keep the present one")
+        elif can:
+            self.choose_button.setText(f"Make {self.session.shape} the exemplar")
+        else:
+            self.choose_button.setText("Choose another exemplar…")
+        alone = len(groups.members(g)) < 2
+        self.choose_button.setEnabled(not alone and not self.session.running)
+        self.choose_button.setToolTip("It is alone in its group." if alone else why if self.session.running else "")
+        self._pictures_changed()
+
+    def _show_problems(self) -> None:
+        clear(self.problem_list)
+        project = self.session.project
+        problems = sorted(project.problems, key=lambda problem: problem.kind)
+        errors = sum(problem.kind == "error" for problem in problems)
+        self.read_count.setText(f"{len(project.names)} of {len(project.names) + errors} read")
+        self.copy.setVisible(bool(problems))
+        for problem in problems:
+            failed = problem.kind == "error"
+            said = label(f"{'not read' if failed else 'read'}: {problem.reason}", "caption", wrap=True)
+            said.setToolTip(problem.remedy)
+            name = ElidedLabel(Path(problem.file).name, "strong", Qt.TextElideMode.ElideMiddle)
+            sign = icon_label("error" if failed else "warning", "error" if failed else "warning")
+            words = column(name, said, spacing=0)
+            self.problem_list.addLayout(row(column(sign, None, margins=(0, 2, 0, 0)), words, spacing=8))
+        if not problems:
+            text = "Every file was read without complaint." if project.names else "Nothing has been imported yet."
+            self.problem_list.addWidget(label(text, "caption", wrap=True))
+        refresh(self.import_section, self.session.theme)
+
+    def _show_strip(self) -> None:
+        session, groups = self.session, groups_of(self.session)
+        clear(self.cards)
+        self.card_of: dict[str, Clickable] = {}
+        self.card_pictures: list[tuple[Picture, str, bool]] = []
+        if groups is None:
+            self.strip_title.setText(f"{len(session.project.names)} shapes")
+            self.strip_count.setText("")
+            self.cards.addWidget(label("Grouping finds similar shapes and, for each group, one to paint.", "caption"))
+            self.cards.addStretch(1)
+            return
+        left = set(unpainted_exemplars(session))
+        exemplars = [session.project.names[i] for i in groups.exemplars]
+        self.strip_title.setText("Exemplars to paint")
+        self.strip_count.setText(f"{len(exemplars) - len(left)} of {len(exemplars)} painted")
+        upcoming = next_to_paint(session)
+        for name in exemplars:
+            painted = name not in left
+            role = "caption_ok" if painted else "caption"
+            state = "painted" if painted else "next" if name == upcoming else "to paint"
+            picture = Picture((38, 38))
+            words = column(ElidedLabel(name, "strong"), label(state, role), spacing=0)
+            card = Clickable(row(picture, words, spacing=10, margins=(10, 3, 10, 3)), "card")
+            card.setFixedHeight(47)
+            card.setMinimumWidth(132)
+            card.clicked.connect(lambda name=name: self._click(name, False))
+            card.double_clicked.connect(lambda name=name: self._open(name))
+            self.cards.addWidget(card, 1)
+            self.card_of[name] = card
+            self.card_pictures.append((picture, name, painted))
+        if len(exemplars) < 4:
+            self.cards.addStretch(4 - len(exemplars))
+        self._show_cards_current()
+        self._pictures_changed()
+
+    def _show_cards_current(self) -> None:
+        for name, card in getattr(self, "card_of", {}).items():
+            card.set_current(name == self.session.shape)
+
+    def _pictures_changed(self) -> None:
+        """Another picture has arrived: put all that are there where they belong."""
+        groups = groups_of(self.session)
+        self.map.update()
+        if groups is None or not self._here():
+            return
+        names = self.session.project.names
+        for picture, g in getattr(self, "group_pictures", ()):
+            picture.set_pixmap(self._map_picture_of_group(names[groups.exemplars[g]], g, len(groups)))
+        for picture, name, painted in getattr(self, "card_pictures", ()):
+            g = group_of(self.session, name)
+            shown = self.pictures.shape(name, MAP_PICTURE, parts="painted") if painted else None
+            picture.set_pixmap(shown or self._map_picture_of_group(name, g, len(groups)))
+        exemplar = names[groups.exemplars[min(self.group, len(groups) - 1)]]
+        parts = "painted" if self.session.project.label_key(exemplar) else ""
+        self.preview.set_pixmap(self.pictures.shape(exemplar, PREVIEW_PIXELS, parts=parts))
+
+    def _map_picture_of_group(self, name: str, g: int, count: int) -> QPixmap | None:
+        return self.pictures.shape(name, MAP_PICTURE, colour=rgb(group_colour(g, count)))
+
+    def _show_progress(self) -> None:
+        if not self._here():
+            return
+        session, progress = self.session, self.session.progress
+        running = session.running
+        self.bar.setVisible(running)
+        self.stop.setVisible(running)
+        self.next.setVisible(not running)
+        self.done_icon.setVisible(not running and bool(session.status))
+        if running and progress is not None:
+            self.bar.setRange(0, max(progress.of, 1))
+            self.bar.setValue(progress.step)
+            left = f" · {duration(progress.seconds_left)} left" if progress.seconds_left is not None else ""
+            self.status.setText(f"{PHASES.get(progress.stage, progress.stage)} {progress.step} of {progress.of}{left}")
+        elif running:
+            self.bar.setRange(0, 0)
+            self.status.setText(f"{PHASES.get(session.stage or '', 'Working')}…")
+        else:
+            self.status.setText(session.status or self._group_text())
+            kind = {"warning": "warning", "error": "error"}.get(session.status_kind, "check")
+            set_icon(self.done_icon, kind, {"check": "ok"}.get(kind, kind))
+            self.done_icon.setVisible(bool(self.status.full_text()))
+        self._show_next()
+
+    def _group_text(self) -> str:
+        record = self.session.project.stage_record("group")
+        if not record or "seconds" not in record or groups_of(self.session) is None:
+            return ""
+        return f"Grouped {len(self.session.project.names)} shapes in {duration(record['seconds'])}"
+
+    def _show_next(self) -> None:
+        name, text = self._next()
+        self.next.setText(text)
+        can, why = self.actions.verdict(name)
+        self.next.setEnabled(can)
+        self.next.setToolTip(why if not can else self.actions[name].tooltip)
+
+    def _next(self) -> tuple[str, str]:
+        """The action that is the next step, and what its button says."""
+        if not self.session.project.names:
+            return "import_files", "Import shapes…"
+        if groups_of(self.session) is None:
+            return "group", "Group the shapes"
+        upcoming = next_to_paint(self.session)
+        return ("paint_next", f"Paint {upcoming}") if upcoming else ("go_fit", "Fit the family")
+
+    # -- what the user does ----------------------------------------------------------------------------------------
+
+    def _press_next(self) -> None:
+        self.actions.run(self._next()[0])
+
+    def _click(self, name: str, add: bool) -> None:
+        session = self.session
+        if self.choosing:
+            self._choose(False)
+            session.shape, session.selected = name, (name,)
+            self.actions.run("make_exemplar")
+            return
+        if add:
+            before = session.selected or ((session.shape,) if session.shape else ())
+            session.selected = tuple(n for n in before if n != name) if name in before else (*before, name)
+        else:
+            session.selected = (name,)
+        session.shape = name
+
+    def _select(self, names: tuple[str, ...]) -> None:
+        self.session.selected = names
+        if names and self.session.shape not in names:
+            self.session.shape = names[0]
+
+    def _open(self, name: str) -> None:
+        self.session.shape = name
+        self.actions.run("look_at")
+
+    def _show_group(self, g: int) -> None:
+        if g < 0:
+            self.session.selected = ()
+            self.session.shape = None
+            return
+        self.group = g
+        if group_of(self.session, self.session.shape) != g:
+            self.session.selected = ()
+            self.session.shape = None
+        self._show_selection()
+
+    def _press_choose(self) -> None:
+        if not self.choosing and can_make_exemplar(self.session)[0]:
+            self.actions.run("make_exemplar")
+        else:
+            self._choose(not self.choosing)
+
+    def _choose(self, on: bool) -> None:
+        """Let the next click on the map choose the exemplar of the group."""
+        self.choosing = on
+        self.map.setCursor(Qt.CursorShape.CrossCursor if on else Qt.CursorShape.ArrowCursor)
+        if self._here():
+            self._show_hint()
+            self._show_exemplar()
+
+    def _copy_problems(self) -> None:
+        text = "\n".join(str(problem) for problem in self.session.project.problems)
+        QGuiApplication.clipboard().setText(text)
+        self.session.say("The list of problems is in the clipboard", "ok")
+
+
+PREVIEW_PIXELS = (PREVIEW[0] * 2, PREVIEW[1] * 2)
+PHASES = {"import": "Reading", "group": "Grouping", "cosegment": "Proposing parts", "fit": "Fitting", "learn": "Learning"}
+
+
+def group_names(count: int) -> tuple[str, ...]:
+    """What the groups are called: "Group 1", "Group 2", …"""
+    return tuple(f"Group {g + 1}" for g in range(count))
+
+
+def typical_text(groups: object, g: int) -> str:
+    """How typical the exemplar is: its rank in the group by mean distance to the others; "" when not known."""
+    members = groups.members(g)
+    if groups.dissimilarity is None or len(members) < 2:
+        return f"1 of {len(members)}" if len(members) < 2 else ""
+    total = groups.dissimilarity[np.ix_(members, members)].sum(axis=1)
+    rank = int((total < total[list(members).index(groups.exemplars[g])] - 1e-12).sum()) + 1
+    ending = {1: "st", 2: "nd", 3: "rd"}.get(rank % 10 if rank % 100 not in (11, 12, 13) else 0, "th")
+    return f"typical: {rank}{ending} of {len(members)}"
