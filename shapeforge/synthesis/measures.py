@@ -1,0 +1,166 @@
+"""How good a part is to make meshes from, and how good a made mesh is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from shapeforge.collection.shape import Mesh
+from shapeforge.collection.surface import closest_points
+from shapeforge.synthesis.surfaces import WELD, as_mesh, vertex_components
+
+RAGGED = 0.006
+UNEXPLAINED = 0.2
+FAR = 0.05
+MISPLACED = 0.03
+FEWEST_TRIANGLES = 8
+
+
+@dataclass(frozen=True)
+class PartQuality:
+    """What makes a training part unfit: few triangles, a jagged border, surface without or points far from surface.
+
+    ``raggedness`` is the length (diagonals) that smoothing takes from a border edge (see :func:`raggedness`);
+    ``unexplained`` the share of the part's vertices farther than .05 diagonals plus three spacings from all its points;
+    ``misplaced`` the mean distance (diagonals) from those points to the part's surface.
+    """
+
+    n_triangles: int
+    raggedness: float
+    unexplained: float
+    misplaced: float
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Why the part should not be used; empty if it may."""
+        found = []
+        if self.n_triangles < FEWEST_TRIANGLES:
+            found.append(f"only {self.n_triangles} faces")
+        if self.raggedness > RAGGED:
+            found.append(f"ragged border ({self.raggedness:.3f})")
+        if self.unexplained > UNEXPLAINED:
+            found.append(f"surface without corresponding points ({self.unexplained:.0%})")
+        if self.misplaced > MISPLACED:
+            found.append(f"corresponding points off the part ({self.misplaced:.3f})")
+        return tuple(found)
+
+    @property
+    def badness(self) -> float:
+        """0 for a part without problems, more the worse it is: to choose among bad ones."""
+        return (
+            max(0.0, FEWEST_TRIANGLES - self.n_triangles) / FEWEST_TRIANGLES
+            + max(0.0, self.raggedness / RAGGED - 1)
+            + max(0.0, self.unexplained / UNEXPLAINED - 1)
+            + max(0.0, self.misplaced / MISPLACED - 1)
+        )
+
+
+def part_quality(
+    mesh: Mesh,
+    label: Int[np.ndarray, " N"],
+    part: int,
+    vertices: Float[np.ndarray, "V 3"],
+    triangles: Int[np.ndarray, "M 3"],
+    handles: Float[np.ndarray, "C 3"],
+) -> PartQuality:
+    """Quality of part ``part`` of a mesh with a label per triangle; ``vertices``, ``triangles``, ``handles`` are the part's."""
+    spacing = float(np.median(cKDTree(handles).query(handles, k=min(2, len(handles)))[0].reshape(len(handles), -1)[:, -1]))
+    unexplained = float((cKDTree(handles).query(vertices)[0] > FAR + 3 * spacing).mean())
+    misplaced = float(closest_points(as_mesh(vertices, triangles), handles)[2].mean())
+    return PartQuality(int((label == part).sum()), raggedness(mesh, label, part), unexplained, misplaced)
+
+
+def raggedness(mesh: Mesh, label: Int[np.ndarray, " N"], part: int, *, rounds: int = 12) -> float:
+    """Length that the border between ``part`` and the rest loses when smoothed, per border edge; 0 without a border.
+
+    In the units of the mesh: a zigzag of edges e has about .4 e, longer teeth have more.  What a circle of as many edges
+    would lose is not counted, nor loops of under 12 edges.
+    """
+    _, weld = np.unique(np.round(mesh.vertices / WELD).astype(np.int64), axis=0, return_inverse=True)
+    weld = weld.reshape(-1)
+    corners = weld[mesh.triangles]
+    sides = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    edges, edge_of_side = np.unique(sides, axis=0, return_inverse=True)
+    inside = np.repeat(label == part, 3)
+    has = np.bincount(edge_of_side.reshape(-1), inside, len(edges)) > 0
+    lacks = np.bincount(edge_of_side.reshape(-1), ~inside, len(edges)) > 0
+    border = edges[has & lacks & (edges[:, 0] != edges[:, 1])]
+    if len(border) == 0:
+        return 0.0
+    used, ends = np.unique(border, return_inverse=True)
+    ends = ends.reshape(-1, 2)
+    position = np.zeros((weld.max() + 1, 3))
+    position[weld] = mesh.vertices
+    position = position[used]
+    degree = np.bincount(ends.ravel(), minlength=len(used))
+    loop = coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(used), len(used)))
+    loop = connected_components(loop, directed=False)[1][ends[:, 0]]
+    n_edges = np.bincount(loop)
+    before = np.bincount(loop, _lengths(position, ends))
+    for _ in range(rounds):
+        total = np.zeros_like(position)
+        np.add.at(total, ends[:, 0], position[ends[:, 1]])
+        np.add.at(total, ends[:, 1], position[ends[:, 0]])
+        position = np.where((degree == 2)[:, None], (position + total / 2) / 2, position)
+    circle = (0.5 + 0.5 * np.cos(2 * np.pi / np.maximum(n_edges, 3))) ** rounds
+    lost = np.maximum(0.0, before - np.bincount(loop, _lengths(position, ends)) / circle)
+    return float(lost[n_edges >= 12].sum() / len(ends))
+
+
+def _lengths(position: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(position[ends[:, 0]] - position[ends[:, 1]], axis=1)
+
+
+def gap(
+    vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"], anchors: Int[np.ndarray, " A"], other: Mesh
+) -> float:
+    """Widest distance (same units) from a piece of a part to the part it should touch.
+
+    A piece is a connected component that holds an anchor: one leg of four in the air is a gap, though three stand fast.
+    """
+    component = vertex_components(len(vertices), triangles)
+    holds = np.flatnonzero(np.isin(component, component[anchors]))
+    distance = np.full(component.max() + 1, np.inf)
+    np.minimum.at(distance, component[holds], closest_points(other, vertices[holds])[2])
+    return float(distance[component[anchors]].max())
+
+
+def symmetry_error(points: Float[np.ndarray, "P 3"]) -> float:
+    """Mean distance from the mirrored points to the points, over the better of the two upright mirrors (same units).
+
+    The mirrors pass through the middle of the bounding box, across x or across z (y is up).
+    """
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    tree = cKDTree(points)
+    errors = []
+    for axis in (0, 2):
+        mirrored = points.copy()
+        mirrored[:, axis] = 2 * middle[axis] - mirrored[:, axis]
+        errors.append(tree.query(mirrored)[0].mean())
+    return float(min(errors))
+
+
+def inverted_triangles(
+    rest: Float[np.ndarray, "V 3"], bent: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"]
+) -> int:
+    """Folds that bending made: pairs of neighbours that faced alike at rest (within 60 degrees) and now face each other.
+
+    ``rest`` should hold the vertices after the affine part of the deformation, which folds nothing.
+    """
+    corners = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1), axis=2).reshape(-1, 2)
+    order = np.lexsort(corners.T)
+    same = (np.diff(corners[order], axis=0) == 0).all(axis=1)
+    first, second = order[:-1][same] // 3, order[1:][same] // 3
+    turn = []
+    for vertices in (rest, bent):
+        a, b, c = (vertices[triangles[:, i]] for i in range(3))
+        normal = np.cross(b - a, c - a)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+        turn.append((normal[first] * normal[second]).sum(axis=1))
+    # Files often wind neighbours against each other: compare with how they stood at rest.
+    return int((((turn[0] > 0.5) & (turn[1] < -0.5)) | ((turn[0] < -0.5) & (turn[1] > 0.5))).sum())

@@ -1,0 +1,184 @@
+"""Which training part should become which part of a draw (§5, mesh synthesis)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from shapeforge.synthesis.sources import Sources
+
+MEASURES = ("position", "translation", "affine")
+CANDIDATES = 8
+SWITCH = 0.006
+"""Cost (mean distance, diagonals) of taking neighbouring parts from different shapes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Retrieved:
+    """``shape[l]`` is the training shape for part l (-1: absent), ``distance`` (L,) how far its points are from the draw's."""
+
+    shape: Int[np.ndarray, " L"]
+    distance: Float[np.ndarray, " L"]
+
+
+def part_distances(
+    points: Float[np.ndarray, "K 3"], sources: Sources, part: int, *, measure: str = "blend"
+) -> Float[np.ndarray, " T"]:
+    """Mean Euclidean distance (diagonals) between a part's points on every training shape and the draw's; inf where absent.
+
+    ``position`` is the paper's.  ``translation`` first moves the centres together, ``affine`` takes the best affine map,
+    since placing and stretching a part costs its looks little.  ``blend``, the default, is the mean of the first and
+    the last: of two parts that bend equally well the one in place and in proportion wins.
+    """
+    if measure == "blend":
+        return 0.5 * (
+            part_distances(points, sources, part, measure="position")
+            + part_distances(points, sources, part, measure="affine")
+        )
+    if measure not in MEASURES:
+        raise ValueError(f"measure: wanted blend, {', '.join(MEASURES)}, got {measure!r}.")
+    index = np.flatnonzero((sources.part == part) & np.isfinite(points).all(axis=1))
+    distance = np.full(len(sources.names), np.inf)
+    rows = np.flatnonzero(sources.exists[:, part])
+    if len(index) == 0 or len(rows) == 0:
+        return distance
+    training = np.asarray(sources.positions[np.ix_(rows, index)], float)
+    known = np.isfinite(training).all(axis=2)
+    weight = known / np.maximum(known.sum(axis=1, keepdims=True), 1)
+    training = np.where(known[..., None], training, 0.0)
+    target = np.broadcast_to(np.asarray(points[index], float), training.shape)
+    if measure != "position":
+        training = training - np.einsum("tk,tkd->td", weight, training)[:, None]
+        target = target - np.einsum("tk,tkd->td", weight, target)[:, None]
+    if measure == "affine":
+        second = np.einsum("tk,tki,tkj->tij", weight, training, training)
+        cross = np.einsum("tk,tki,tkj->tij", weight, training, target)
+        ridge = 1e-3 * np.trace(second, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
+        training = training @ np.linalg.solve(second + ridge, cross + ridge)
+    away = np.linalg.norm(training - target, axis=2)
+    distance[rows] = np.where(known.any(axis=1), (weight * away).sum(axis=1), np.inf)
+    return distance
+
+
+def mirror_partners(sources: Sources, *, most: int = 40) -> list[tuple[int, int]]:
+    """Pairs of parts that are each other's mirror image on the training shapes (left and right wing as two parts).
+
+    Measured on part boxes over at most ``most`` shapes: mirrored centre and extents agree within .03 of the diagonal on
+    the median shape, and the parts lie off the mirror.
+    """
+    rows = np.unique(np.linspace(0, len(sources.names) - 1, min(most, len(sources.names))).astype(int))
+    low = np.full((len(rows), sources.n_parts, 3), np.nan)
+    high = low.copy()
+    for i, t in enumerate(rows):
+        for l in range(sources.n_parts):
+            points = sources.positions[t, sources.part == l]
+            points = points[np.isfinite(points).all(axis=1)]
+            if sources.exists[t, l] and len(points):
+                low[i, l], high[i, l] = points.min(axis=0), points.max(axis=0)
+    pairs = []
+    for l in range(sources.n_parts):
+        for other in range(l + 1, sources.n_parts):
+            both = np.isfinite(low[:, l, 0]) & np.isfinite(low[:, other, 0])
+            if both.sum() < max(1, 0.25 * len(rows)):
+                continue
+            for axis in (0, 2):
+                sign = np.where(np.arange(3) == axis, -1.0, 1.0)
+                mirrored_low = np.minimum(sign * low[both, l], sign * high[both, l])
+                mirrored_high = np.maximum(sign * low[both, l], sign * high[both, l])
+                error = np.abs(mirrored_low - low[both, other]) + np.abs(mirrored_high - high[both, other])
+                off = np.abs(low[both, l, axis] + high[both, l, axis]) / 2
+                if np.median(error.max(axis=1)) < 0.06 and np.median(off) > 0.05:
+                    pairs.append((l, other))
+                    break
+    return pairs
+
+
+def retrieve(
+    points: Float[np.ndarray, "K 3"], exists: Bool[np.ndarray, " L"], sources: Sources, *, measure: str = "blend",
+    switch: float = SWITCH, candidates: int = CANDIDATES,
+) -> Retrieved:  # fmt: skip
+    """The training shape for every part of a draw: near points, usable faces, neighbours from one shape when that is close.
+
+    Each part keeps its ``candidates`` nearest usable training parts (ragged, tiny or unexplained ones are passed over);
+    then the sum of distances plus ``switch`` per touching pair from different shapes is lowered part by part from
+    several starts.  Mirrored parts come from one shape.
+    """
+    n_parts, partners = sources.n_parts, mirror_partners(sources)
+    tied = _tied(n_parts, partners, exists)
+    cost = np.full((n_parts, len(sources.names)), np.inf)
+    for l in np.flatnonzero(exists):
+        cost[l] = part_distances(points, sources, int(l), measure=measure)
+    together = np.stack([cost[tied == tied[l]][exists[tied == tied[l]]].sum(axis=0) if exists[l] else cost[l]
+                         for l in range(n_parts)])  # fmt: skip
+    choices = {
+        int(g): _usable(together[g], [int(l) for l in np.flatnonzero((tied == g) & exists)], sources, candidates)
+        for g in np.unique(tied[exists])
+    }
+    choices = {g: found for g, found in choices.items() if len(found)}
+    chosen = _choose(choices, together, tied, exists, sources.touching, switch)
+    shape = np.array([chosen.get(int(tied[l]), -1) if exists[l] else -1 for l in range(n_parts)])
+    distance = np.array([cost[l, shape[l]] if shape[l] >= 0 else np.inf for l in range(n_parts)])
+    return Retrieved(shape, distance)
+
+
+def _tied(n_parts: int, partners: list[tuple[int, int]], exists: np.ndarray) -> np.ndarray:
+    """Group number (the smallest part) of the parts that must come from one shape."""
+    tied = np.arange(n_parts)
+    for l, other in partners:
+        if exists[l] and exists[other]:
+            tied[tied == tied[other]] = tied[l]
+    return tied
+
+
+def _usable(cost: np.ndarray, parts: list[int], sources: Sources, wanted: int) -> list[int]:
+    """Nearest training shapes whose parts are all usable; the least bad of the nearest ones if none is."""
+    found, bad = [], []
+    for t in np.argsort(cost, kind="stable")[: 4 * wanted]:
+        if not np.isfinite(cost[t]):
+            break
+        read = [sources.part_of(int(t), l) for l in parts]
+        if any(p is None for p in read):
+            continue
+        badness = sum(p.quality.badness for p in read if p is not None)
+        if badness == 0:
+            found.append(int(t))
+        else:
+            bad.append((badness, int(t)))
+        if len(found) == wanted:
+            break
+    return found or [t for _, t in sorted(bad)[:1]]
+
+
+def _choose(choices: dict[int, list[int]], cost: np.ndarray, tied: np.ndarray, exists: np.ndarray,
+            touching: np.ndarray, switch: float) -> dict[int, int]:  # fmt: skip
+    """Coordinate descent on distances plus switching costs, from the independent best and from each single shape."""
+    groups = list(choices)
+    bond = np.zeros((len(groups), len(groups)))
+    for i, g in enumerate(groups):
+        for j, h in enumerate(groups):
+            if i != j:
+                members, others = (tied == g) & exists, (tied == h) & exists
+                bond[i, j] = switch * (touching[np.ix_(members, others)] >= 0.5).any()
+
+    def total(choice: list[int]) -> float:
+        apart = np.array(choice)[:, None] != np.array(choice)[None]
+        return float(sum(cost[g, t] for g, t in zip(groups, choice, strict=True)) + (bond * apart).sum() / 2)
+
+    starts = [[choices[g][0] for g in groups]]
+    for t in sorted({t for found in choices.values() for t in found}):
+        starts.append([t if t in choices[g] else choices[g][0] for g in groups])
+    best, best_total = starts[0], np.inf
+    for choice in starts:
+        value = total(choice)
+        while True:
+            for i, g in enumerate(groups):
+                trials = [choice[:i] + [t] + choice[i + 1 :] for t in choices[g]]
+                choice = min([choice, *trials], key=total)
+            if total(choice) >= value - 1e-12:
+                break
+            value = total(choice)
+        if value < best_total:
+            best, best_total = choice, value
+    return dict(zip(groups, best, strict=True))

@@ -1,0 +1,202 @@
+"""The training parts that meshes are made from: one part of one shape each, read only when it is wanted."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+from shapeforge.collection.shape import Shape
+from shapeforge.collection.surface import closest_points
+from shapeforge.synthesis.embedded import DeformationGraph, build_graph
+from shapeforge.synthesis.measures import PartQuality, part_quality
+from shapeforge.synthesis.surfaces import as_mesh, cut_out, farthest_points, subdivide_long_edges, vertex_components
+
+EDGE_LENGTH = 0.05
+"""Longest edge (diagonals) left in a part before it is bent."""
+TRIANGLE_LIMIT = 12_000
+"""Edges of a part are split only while it keeps at most so many triangles."""
+CONTACT = 0.01
+"""Surface of another part nearer than this (diagonals) counts as touching ..."""
+NEAR_CONTACT = 0.03
+"""... and where nothing does, the nearest surface up to this distance."""
+ANCHORS = 12
+"""Points at which a part holds on to each part it touches."""
+
+
+@dataclass(frozen=True, eq=False)
+class SourcePart:
+    """Part ``part`` of a training shape, ready to be bent; everything in normal coordinates (diagonals).
+
+    ``handles`` (C, 3) are the surface points that correspond to the template points ``template`` (C,);
+    ``rows`` (V, 4N) and ``handle_rows`` (C, 4N) are the bases of vertices and handles in ``graph``;
+    ``component`` numbers the connected component of each vertex;
+    ``anchors`` maps another part to the vertices at which this one touches it.
+    """
+
+    shape: str
+    part: int
+    vertices: Float[np.ndarray, "V 3"]
+    triangles: Int[np.ndarray, "N 3"]
+    component: Int[np.ndarray, " V"]
+    template: Int[np.ndarray, " C"]
+    handles: Float[np.ndarray, "C 3"]
+    graph: DeformationGraph
+    rows: csr_array
+    handle_rows: csr_array
+    quality: PartQuality
+    anchors: Mapping[int, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Sources:
+    """Training shapes as a store of parts.
+
+    ``positions`` (T, K, 3) are corresponding points in normal coordinates, NaN where absent; ``exists`` (T, L) tells which
+    parts a shape has; ``touching`` (L, L) is the share of the shapes having both parts on which the two touch.
+    """
+
+    names: tuple[str, ...]
+    positions: Float[np.ndarray, "T K 3"]
+    exists: Bool[np.ndarray, "T L"]
+    part: Int[np.ndarray, " K"]
+    part_names: tuple[str, ...]
+    touching: Float[np.ndarray, "L L"]
+    get_shape: Callable[[int], Shape]
+    face_labels: Sequence[np.ndarray]
+    keep: int = 64
+    _cache: OrderedDict = field(default_factory=OrderedDict, repr=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @property
+    def n_parts(self) -> int:
+        """Number of parts L."""
+        return len(self.part_names)
+
+    def parts_of(self, index: int) -> dict[int, SourcePart]:
+        """The parts of training shape ``index`` that have faces and corresponding points; kept for the last ``keep`` shapes."""
+        with self._lock:
+            if index in self._cache:
+                self._cache.move_to_end(index)
+                return self._cache[index]
+        parts = read_parts(
+            self.get_shape(index), np.asarray(self.face_labels[index]), self.positions[index], self.part, self.n_parts
+        )
+        with self._lock:
+            self._cache[index] = parts
+            while len(self._cache) > self.keep:
+                self._cache.popitem(last=False)
+        return parts
+
+    def part_of(self, index: int, part: int) -> SourcePart | None:
+        """One part of training shape ``index``; None if its mesh has no usable face of it."""
+        return self.parts_of(index).get(part)
+
+
+def make_sources(
+    names: Sequence[str],
+    get_shape: Callable[[int], Shape],
+    face_labels: Sequence[np.ndarray],
+    positions: Float[np.ndarray, "T K 3"],
+    part: Int[np.ndarray, " K"],
+    part_names: Sequence[str],
+) -> Sources:
+    """Sources of T training shapes.  Only the corresponding points are looked at now; meshes are read on demand.
+
+    ``get_shape(i)`` and ``face_labels[i]`` ((n_faces,) part index, -1 unlabelled) may be as lazy as they like.
+    """
+    if positions.ndim != 3 or positions.shape[:2] != (len(names), len(part)):
+        raise ValueError(
+            f"positions: wanted (T, K, 3) = ({len(names)}, {len(part)}, 3), got {positions.shape}. "
+            "One row of corresponding points per name, in the same order of template points as `part`."
+        )
+    n_parts = len(part_names)
+    if len(part) and (part.min() < 0 or part.max() >= n_parts):
+        raise ValueError(f"part: wanted indices 0..{n_parts - 1}, got {part.min()}..{part.max()}.")
+    present = np.isfinite(positions).all(axis=2)
+    exists = np.stack([present[:, part == l].mean(axis=1) > 0.5 if (part == l).any() else np.zeros(len(names), bool)
+                       for l in range(n_parts)], axis=1)  # fmt: skip
+    touching = _touching(positions, present & exists[:, part], part, n_parts)
+    return Sources(tuple(names), positions, exists, part, tuple(part_names), touching, get_shape, face_labels)
+
+
+def _touching(
+    positions: np.ndarray, present: np.ndarray, part: np.ndarray, n_parts: int, most: int = 40
+) -> Float[np.ndarray, "L L"]:
+    """Share of shapes (of at most ``most``, evenly chosen) on which two parts touch, as far as their points can tell.
+
+    Points of touching parts are as near as neighbouring points of one part are: nearer than twice the spacing
+    (the 9th decile of nearest distances) of the sparser part.
+    """
+    both, near = np.zeros((n_parts, n_parts)), np.zeros((n_parts, n_parts))
+    for t in np.unique(np.linspace(0, len(positions) - 1, min(most, len(positions))).astype(int)):
+        trees, spacing = {}, {}
+        for l in range(n_parts):
+            points = positions[t, present[t] & (part == l)]
+            if len(points) > 1:
+                trees[l] = cKDTree(points)
+                spacing[l] = float(np.quantile(trees[l].query(points, k=2)[0][:, 1], 0.9))
+        for l in trees:
+            for other in trees:
+                if other > l:
+                    both[l, other] += 1
+                    distance = trees[other].query(trees[l].data)[0].min()
+                    near[l, other] += distance < 2 * max(spacing[l], spacing[other], 0.005)
+    share = np.divide(near, both, out=np.zeros_like(near), where=both > 0)
+    return share + share.T
+
+
+def read_parts(
+    shape: Shape,
+    faces: Int[np.ndarray, " F"],
+    positions: Float[np.ndarray, "K 3"],
+    part: Int[np.ndarray, " K"],
+    n_parts: int,
+) -> dict[int, SourcePart]:
+    """Every part of a shape: its faces cut from the mesh by label, refined, with graph, handles, quality and anchors."""
+    mesh = shape.mesh
+    if len(faces) != mesh.n_faces:
+        raise ValueError(
+            f"faces: wanted one label per face record of {shape.name} ({mesh.n_faces}), got {len(faces)}. "
+            "Do the labels belong to another version of the mesh?"
+        )
+    label = faces[mesh.face_of_triangle]
+    found: dict[int, SourcePart] = {}
+    for l in range(n_parts):
+        template = np.flatnonzero((part == l) & np.isfinite(positions).all(axis=1))
+        coarse_vertices, coarse = cut_out(mesh.vertices, mesh.triangles, label == l)
+        if len(coarse) == 0 or len(template) == 0:
+            continue
+        vertices, triangles = subdivide_long_edges(coarse_vertices, coarse, length=EDGE_LENGTH, limit=TRIANGLE_LIMIT)
+        handles = np.asarray(positions[template], float)
+        graph = build_graph(vertices)
+        found[l] = SourcePart(
+            shape.name, l, vertices, triangles, vertex_components(len(vertices), triangles), template, handles, graph,
+            graph.basis(vertices), graph.basis(handles),
+            part_quality(mesh, label, l, vertices, triangles, handles),
+        )  # fmt: skip
+    anchors = _find_anchors(found)
+    return {l: replace(source, anchors=anchors[l]) for l, source in found.items()}
+
+
+def _find_anchors(parts: Mapping[int, SourcePart]) -> dict[int, dict[int, np.ndarray]]:
+    """For each part and each other one that it touches, up to ANCHORS vertices of the contact, spread over it."""
+    anchors: dict[int, dict[int, np.ndarray]] = {l: {} for l in parts}
+    for other, surface in parts.items():
+        asking = [l for l in parts if l != other]
+        if not asking:
+            continue
+        queries = np.concatenate([parts[l].vertices for l in asking])
+        distances = closest_points(as_mesh(surface.vertices, surface.triangles), queries)[2]
+        ends = np.cumsum([len(parts[l].vertices) for l in asking])[:-1]
+        for l, distance in zip(asking, np.split(distances, ends), strict=True):
+            if distance.min() <= NEAR_CONTACT:
+                close = np.flatnonzero(distance <= max(CONTACT, float(distance.min()) + 0.005))
+                anchors[l][other] = close[farthest_points(parts[l].vertices[close], ANCHORS)]
+    return anchors

@@ -1,0 +1,119 @@
+"""Small operations on the triangles of one part: cutting out, welding, finer triangles, components."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from shapeforge.collection.shape import Mesh
+
+Vertices = Float[np.ndarray, "V 3"]
+Triangles = Int[np.ndarray, "N 3"]
+
+WELD = 1e-6
+
+
+def cut_out(vertices: Vertices, triangles: Triangles, chosen: Bool[np.ndarray, " N"]) -> tuple[np.ndarray, np.ndarray]:
+    """The chosen triangles with only the vertices they use, coinciding vertices (within 1e-6) made one.
+
+    Triangles that have no area, or that repeat another one, are dropped.
+    """
+    used, corners = np.unique(triangles[chosen], return_inverse=True)
+    positions = vertices[used]
+    _, first, weld = np.unique(np.round(positions / WELD).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    return drop_bad(positions[first], weld.reshape(-1)[corners.reshape(-1, 3)])
+
+
+def drop_bad(vertices: Vertices, triangles: Triangles, area: float = 1e-12) -> tuple[np.ndarray, np.ndarray]:
+    """Without triangles that repeat another or whose area (squared diagonals) is at most ``area``, and unused vertices."""
+    keep = good_triangles(vertices, triangles, area)
+    used, corners = np.unique(triangles[keep], return_inverse=True)
+    return vertices[used], corners.reshape(-1, 3).astype(np.int32)
+
+
+def good_triangles(vertices: Vertices, triangles: Triangles, area: float = 1e-12) -> Bool[np.ndarray, " N"]:
+    """True for the first of equal triangles, if its area exceeds ``area``."""
+    if len(triangles) == 0:
+        return np.zeros(0, bool)
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    sized = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 2 * area
+    _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
+    unique = np.zeros(len(triangles), bool)
+    unique[first] = True
+    return sized & unique
+
+
+def subdivide_long_edges(
+    vertices: Vertices, triangles: Triangles, *, length: float, limit: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Split every edge longer than ``length`` at its middle, again and again, while at most ``limit`` triangles result.
+
+    Both triangles of an edge are split alike, so no cracks open; a coarse box can then bend.
+    """
+    vertices, triangles = np.asarray(vertices, float), np.asarray(triangles, np.int64)
+    while len(triangles):
+        sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+        edges, edge_of_side = np.unique(sides, axis=0, return_inverse=True)
+        long = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1) > length
+        count = long[edge_of_side.reshape(-1)].reshape(-1, 3).sum(axis=1)
+        if not long.any() or len(triangles) + count.sum() > limit:
+            break
+        middle = np.full(len(edges), -1)
+        middle[long] = len(vertices) + np.arange(long.sum())
+        vertices = np.concatenate([vertices, vertices[edges[long]].mean(axis=1)])
+        triangles = _split(vertices, triangles, middle[edge_of_side.reshape(-1)].reshape(-1, 3))
+    return vertices, triangles.astype(np.int32)
+
+
+def _split(vertices: np.ndarray, triangles: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """Triangles (N, 3) with a new vertex on side i (corner i to i+1) where ``middle[:, i]`` >= 0."""
+    split = middle >= 0
+    count = split.sum(axis=1)
+    pieces = [triangles[count == 0]]
+    # Turn each triangle so that the pattern of split sides is (0), (0, 1) or (0, 1, 2).
+    turn = np.where(count == 1, split.argmax(axis=1), np.where(count == 2, ((~split).argmax(axis=1) + 1) % 3, 0))
+    columns = (turn[:, None] + np.arange(3)) % 3
+    t, m = np.take_along_axis(triangles, columns, axis=1), np.take_along_axis(middle, columns, axis=1)
+    one, two, three = t[count == 1], t[count == 2], t[count == 3]
+    m1, m2, m3 = m[count == 1], m[count == 2], m[count == 3]
+    pieces += [np.stack([one[:, 0], m1[:, 0], one[:, 2]], 1), np.stack([m1[:, 0], one[:, 1], one[:, 2]], 1)]
+    pieces += [np.stack([m2[:, 0], two[:, 1], m2[:, 1]], 1)]
+    # The rest of a twice split triangle is a quad; cut it along its shorter diagonal.
+    shorter = np.linalg.norm(vertices[two[:, 0]] - vertices[m2[:, 1]], axis=1) <= np.linalg.norm(
+        vertices[m2[:, 0]] - vertices[two[:, 2]], axis=1
+    )
+    s, ms, r, mr = two[shorter], m2[shorter], two[~shorter], m2[~shorter]
+    pieces += [np.stack([s[:, 0], ms[:, 0], ms[:, 1]], 1), np.stack([s[:, 0], ms[:, 1], s[:, 2]], 1)]
+    pieces += [np.stack([mr[:, 0], mr[:, 1], r[:, 2]], 1), np.stack([r[:, 0], mr[:, 0], r[:, 2]], 1)]
+    pieces += [np.stack([three[:, i], m3[:, i], m3[:, i - 1]], 1) for i in range(3)] + [m3]
+    return np.concatenate(pieces)
+
+
+def as_mesh(vertices: Vertices, triangles: Triangles) -> Mesh:
+    """A mesh whose face records are its triangles."""
+    return Mesh(vertices, triangles, np.arange(len(triangles)), len(triangles))
+
+
+def vertex_components(n_vertices: int, triangles: Triangles) -> Int[np.ndarray, " V"]:
+    """Number of the connected component of every vertex."""
+    rows = np.concatenate([triangles[:, 0], triangles[:, 1]])
+    columns = np.concatenate([triangles[:, 1], triangles[:, 2]])
+    graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(n_vertices, n_vertices))
+    return connected_components(graph, directed=False)[1]
+
+
+def farthest_points(points: Float[np.ndarray, "P 3"], count: int) -> Int[np.ndarray, " n"]:
+    """Indices of ``count`` (or all) points spread evenly: each the farthest from those before; the first the outermost."""
+    count = min(count, len(points))
+    if count == 0:
+        return np.zeros(0, np.int64)
+    chosen = np.empty(count, np.int64)
+    distance = np.linalg.norm(points - points.mean(axis=0), axis=1)
+    chosen[0] = distance.argmax()
+    distance = np.full(len(points), np.inf)
+    for i in range(1, count):
+        distance = np.minimum(distance, ((points - points[chosen[i - 1]]) ** 2).sum(axis=1))
+        chosen[i] = distance.argmax()
+    return chosen

@@ -1,0 +1,74 @@
+"""Meshes of draws: training shapes come back, mixed parts touch, nothing folds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from shapeforge.collection.surface import closest_points
+from shapeforge.synthesis.assemble import synthesize
+from shapeforge.synthesis.surfaces import as_mesh
+
+BOTH = np.array([True, True])
+
+
+def distances(vertices: np.ndarray, triangles: np.ndarray, queries: np.ndarray) -> np.ndarray:
+    return closest_points(as_mesh(vertices, triangles), queries)[2]
+
+
+def test_a_training_shape_comes_back(tables, sources) -> None:
+    made = synthesize(tables[1].points, BOTH, sources)
+    assert made.sources == (tables[1].shape.name,) * 2
+    mesh = tables[1].shape.mesh
+    assert distances(mesh.vertices, mesh.triangles, made.vertices).max() < 2e-3
+    assert distances(made.vertices, made.triangles, mesh.vertices).max() < 2e-3
+    assert made.measures["folded_triangles"] == 0
+    assert made.measures["largest_gap"] < 1e-3
+    assert set(np.unique(made.part)) == {0, 1}
+    assert made.triangles.dtype == made.part.dtype == np.int32 and made.vertices.dtype == np.float64
+    assert len(made.part) == len(made.triangles) == made.measures["n_triangles"]
+
+
+@pytest.mark.parametrize("preview", [False, True])
+def test_a_new_size_is_reached_by_bending(tables, sources, preview: bool) -> None:
+    between = 0.5 * (tables[0].points + tables[2].points)
+    made = synthesize(between, BOTH, sources, preview=preview)
+    assert distances(made.vertices, made.triangles, between).mean() < 0.005
+    assert made.measures["distance_from_draw"] < 0.01
+
+
+@pytest.mark.parametrize(("preview", "most"), [(False, 0.004), (True, 0.012)])
+def test_parts_that_the_draw_tore_apart_touch_again(tables, sources, preview: bool, most: float) -> None:
+    torn = tables[0].points.copy()
+    torn[:384] += [0, 0.03, 0]
+    made = synthesize(torn, BOTH, sources, preview=preview)
+    assert made.measures["largest_gap"] < most
+    assert list(made.measures["gaps"]) == ["top – legs"]
+
+
+def test_parts_of_different_shapes_touch(tables, sources) -> None:
+    draw = tables[0].points.copy()
+    made = synthesize(draw, BOTH, sources, shapes=np.array([0, 4]))
+    assert made.sources == (tables[0].shape.name, tables[4].shape.name)
+    assert made.measures["largest_gap"] < 0.005
+
+
+def test_noise_of_a_draw_is_smoothed(tables, sources) -> None:
+    rng = np.random.default_rng(0)
+    noisy = tables[3].points + rng.normal(0, 0.01, tables[3].points.shape)
+    made = synthesize(noisy, BOTH, sources)
+    mesh = tables[3].shape.mesh
+    away = distances(mesh.vertices, mesh.triangles, made.vertices)
+    assert away.mean() < 0.006
+    assert made.measures["folded_triangles"] == 0
+
+
+def test_absent_parts_are_left_out_and_errors_say_what_was_wanted(tables, sources) -> None:
+    points = tables[2].points.copy()
+    points[384:] = np.nan
+    made = synthesize(points, np.array([True, False]), sources)
+    assert made.sources == (tables[2].shape.name, "") and set(made.part) == {0}
+    nothing = synthesize(points, np.array([False, False]), sources)
+    assert len(nothing.triangles) == 0 and nothing.measures["n_triangles"] == 0
+    with pytest.raises(ValueError, match="points, exists"):
+        synthesize(points[:10], BOTH, sources)
