@@ -68,7 +68,8 @@ def _checked(path: Path, records: Records) -> Mesh:
     triangles, face_of_triangle = triangulate_records(vertices, corners, counts)
     used = vertices[np.unique(triangles)] if len(triangles) else vertices[:0]
     extent = np.ptp(used, axis=0) if len(used) else np.zeros(3)
-    diagonal = float(np.linalg.norm(extent)) if extent.max() < LARGEST else np.inf
+    longest = float(extent.max())
+    diagonal = longest * float(np.linalg.norm(extent / longest)) if 0 < longest < LARGEST else longest
     if diagonal == 0:
         raise MeshError(path, "all of its faces shrink to a point or a line", EXPORT_AGAIN)
     if not SMALLEST < diagonal < LARGEST:
@@ -98,7 +99,7 @@ def triangulate_records(
 
 
 def _read_triangles(path: Path, kind: str, data: bytes) -> Records:
-    """STL, GLB, GLTF: triangles in file order, the nodes of a scene one after the other where the scene puts them."""
+    """STL, GLB, GLTF: triangles in trimesh's order, the nodes of a scene one after the other, each in its place."""
     import trimesh
 
     try:

@@ -58,13 +58,23 @@ def _settle(path: Path, text: np.ndarray, values: np.ndarray, hard: np.ndarray) 
             raise MeshError(path, f"line {line} has {word!r} where a number should be", comma) from None
 
 
+def _plain_text(path: Path, data: bytes) -> bytes:
+    """The text as bytes of ASCII or a superset of it, without byte order mark."""
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):  # UTF-16, as some Windows programs write
+        data = data.decode("utf-16", "replace").encode()
+    if b"\0" in data:  # it would pass for a blank and cut numbers in two
+        raise MeshError(path, "it is no text", f"Check that the ending {path.suffix} is right")
+    return data.removeprefix(b"\xef\xbb\xbf")
+
+
 def read_obj(path: Path, data: bytes) -> Records:
     """Records of an OBJ file: vertices ``v``, faces ``f``; everything else (points, lines, groups, ...) is ignored."""
-    if b"\\" in data:
-        data = data.replace(b"\\\r\n", b"  ").replace(b"\\\n", b"  ")
+    data = _plain_text(path, data)
     if b"\n" not in data and b"\r" in data:  # line ends of old Macintosh programs
         data = data.replace(b"\r", b"\n")
-    text = np.frombuffer(data.removeprefix(b"\xef\xbb\xbf"), np.uint8)
+    if b"\\" in data:  # a line goes on in the next
+        data = data.replace(b"\\\r\n", b"  ").replace(b"\\\n", b"  ")
+    text = np.frombuffer(data, np.uint8)
     vertices, corners, counts, hard, error, line = kernels.parse_obj(text)
     if error == kernels.SHORT_VERTEX:
         raise MeshError(path, f"line {line}: a vertex with fewer than 3 coordinates", CUT_SHORT)
@@ -85,12 +95,13 @@ OFF_WITHOUT_KEYWORD = re.compile(rb"(?:\s|#[^\n]*\n)*\d")
 
 def read_off(path: Path, data: bytes) -> Records:
     """Records of a text OFF file: prefixes ST, C, N, 4 are understood, and what they add is skipped."""
-    data = data.removeprefix(b"\xef\xbb\xbf")
+    keyword = OFF_KEYWORD.match(data)
+    if keyword and keyword["binary"]:
+        raise MeshError(path, "binary OFF is not read", "Save it as a text OFF, a PLY or an OBJ file")
+    data = _plain_text(path, data)
     keyword = OFF_KEYWORD.match(data)
     if keyword is None and not OFF_WITHOUT_KEYWORD.match(data):
         raise MeshError(path, "it does not begin with OFF", "Check that the ending .off is right")
-    if keyword and keyword["binary"]:
-        raise MeshError(path, "binary OFF is not read", "Save it as a text OFF, a PLY or an OBJ file")
     text = np.frombuffer(data, np.uint8)
     values, lines, hard = kernels.parse_numbers(text, keyword.end() if keyword else 0)
     _settle(path, text, values, hard)
