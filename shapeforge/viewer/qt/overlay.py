@@ -47,6 +47,7 @@ class Overlay(QWidget):
         self.display = Display()
         self.cameras: list[vtkCamera] = []
         self.theme = "dark"
+        self.path: list[QPointF] = []  # a line being drawn, in logical pixels
 
     def paintEvent(self, event: object) -> None:
         painter = QPainter(self)
@@ -68,6 +69,12 @@ class Overlay(QWidget):
                 painter.setBrush(Qt.BrushStyle.NoBrush)
                 x, y, w, h = cells[i]
                 painter.drawRect(QRectF(x + 1, y + 1, w - 2, h - 2))
+        if len(self.path) > 1:
+            pen = QPen(self._colour("text"), 1.4, Qt.PenStyle.CustomDashLine)
+            pen.setDashPattern([3, 2.2])
+            painter.setPen(pen)
+            painter.setBrush(QColor(255, 255, 255, 24))
+            painter.drawPolygon(QPolygonF(self.path))
         painter.end()
 
     def _colour(self, token: str) -> QColor:
@@ -104,7 +111,7 @@ class Overlay(QWidget):
         painter.setPen(self._colour("error" if low else "text_2"))
         painter.drawText(QRectF(bar.x() - 46, bar.y() - 6, 40, 16), Qt.AlignmentFlag.AlignRight, f"{value:.0%}")
         if low:  # status is never colour alone
-            cx, cy = bar.x() - 48, bar.y() + 2
+            cx, cy = bar.x() - 44, bar.y() + 2
             painter.setPen(QPen(self._colour("error"), 1.4))
             painter.setBrush(Qt.BrushStyle.NoBrush)
             sign = [QPointF(cx, cy - 6), QPointF(cx + 6, cy + 5), QPointF(cx - 6, cy + 5)]
@@ -142,6 +149,9 @@ class Overlay(QWidget):
 
     def _brush(self, painter: QPainter, mark: Mark, camera: vtkCamera, cell: Rectangle, line: QColor) -> None:
         normal = np.array(mark.to if mark.to is not None else camera.GetDirectionOfProjection(), float)
+        # Leaning towards the viewer keeps the ring open where the surface is seen from the side.
+        normal = normal - 0.55 * np.array(camera.GetDirectionOfProjection())
+        normal /= max(float(np.linalg.norm(normal)), 1e-9)
         first = np.cross(normal, (0.31, 0.87, 0.38))
         first /= max(float(np.linalg.norm(first)), 1e-9)
         second = np.cross(normal, first)

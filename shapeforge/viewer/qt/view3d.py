@@ -78,6 +78,11 @@ class View3D(QWidget):
         if session is not None and hasattr(session, "events"):
             session.events.theme.connect(self._theme_changed)
 
+    @property
+    def pointer(self) -> tuple[float, float]:
+        """Logical place (x, y) of the pointer when it was last seen over the view."""
+        return float(self._last.x()), float(self._last.y())
+
     # ---- what is shown -------------------------------------------------------------------------------------------
 
     def display(self, display: Display, *, fit: bool = False) -> None:
