@@ -330,8 +330,9 @@ class Project(Results):
         """Groups and exemplars, for the shapes of now: shapes added since have group -1.  None before grouping."""
         if self._metadata["groups"] is None:
             return None
-        groups, _ = read_record(self.path / "groups.zarr.zip")
-        return groups if groups.names == self.names else _regrouped(groups, self.names)
+        groups, attributes = read_record(self.path / "groups.zarr.zip")
+        about = tuple(attributes["shapes"])
+        return groups if about == self.names else _regrouped(groups, about, self.names)
 
     @property
     def groups_key(self) -> str | None:
@@ -339,13 +340,14 @@ class Project(Results):
         return self._metadata["groups"]
 
     def set_groups(self, groups: Groups) -> None:
-        """Replace the groups; ``ValueError`` when they are not about the shapes of this project."""
-        if groups.names != self.names:
-            raise ValueError(f"groups: wanted the {len(self.names)} shapes of {self.name}, got {len(groups.names)}")
+        """Replace the groups; ``ValueError`` when they are about another number of shapes."""
+        names = self.names
+        if len(groups.group) != len(names):
+            raise ValueError(f"groups: wanted a group for each of {len(names)} shapes, got {len(groups.group)}")
         with self.writing():
-            write_record(self.path / "groups.zarr.zip", groups)
+            write_record(self.path / "groups.zarr.zip", groups, {"shapes": list(names)})
             with self._changing() as metadata:
-                metadata["groups"] = key_of(list(groups.names), groups.group, groups.exemplars)
+                metadata["groups"] = key_of(list(names), groups.group, groups.exemplars)
 
     # -- what the stages did ---------------------------------------------------------------------------------------
 
@@ -377,16 +379,16 @@ def _read_metadata(path: Path) -> dict[str, Any]:
     return metadata
 
 
-def _regrouped(groups: Groups, names: tuple[str, ...]) -> Groups:
+def _regrouped(groups: Groups, about: tuple[str, ...], names: tuple[str, ...]) -> Groups:
     """The same groups for other shapes: new ones belong to none; groups whose exemplar is gone are dissolved."""
-    where = {name: t for t, name in enumerate(groups.names)}
+    where = {name: t for t, name in enumerate(about)}
     now = {name: t for t, name in enumerate(names)}
-    kept = [g for g, exemplar in enumerate(groups.exemplars) if groups.names[exemplar] in now]
+    kept = [g for g, exemplar in enumerate(groups.exemplars) if about[exemplar] in now]
     renumber = {g: i for i, g in enumerate(kept)}
     group = [renumber.get(int(groups.group[where[name]]), -1) if name in where else -1 for name in names]
     embedding = np.zeros((len(names), 2), groups.embedding.dtype)
-    for name, t in now.items():
-        if name in where:
-            embedding[t] = groups.embedding[where[name]]
-    exemplars = [now[groups.names[groups.exemplars[g]]] for g in kept]
-    return Groups(names, np.array(group, np.int64), np.array(exemplars, np.int64), embedding)
+    for name in now.keys() & where.keys():
+        embedding[now[name]] = groups.embedding[where[name]]
+    exemplars = np.array([now[about[groups.exemplars[g]]] for g in kept], groups.exemplars.dtype)
+    called = tuple(groups.names[g] for g in kept)
+    return Groups(called, np.array(group, groups.group.dtype), exemplars, embedding)
