@@ -1,1 +1,1 @@
-"""TODO room docstring."""
+"""How right and how plausible the results are (§6): correspondence, segmentation, classes, plausibility, and baselines."""
