@@ -19,7 +19,8 @@ def write_family(
 ) -> list[Generated]:
     """Generate and write ``<name>.obj``, ``<name>.seg``, labels.json, landmarks.json and classes.csv into ``folder``.
 
-    Label ids count from 1 in the order of the family's part names.  Returns what was written.
+    Label ids count from 1 in the order of the family's part names; labels.json names those that occur.  Returns what
+    was written.
     """
     from shapeforge.collection.families import generate
 
@@ -29,9 +30,9 @@ def write_family(
     for one in made:
         _write(folder / f"{one.name}.obj", obj_text(one))
         _write(folder / f"{one.name}.seg", "".join(f"{part + 1}\n" for part in one.faces))
-    if made:
-        names = {str(i + 1): name for i, name in enumerate(made[0].part_names)}
-        _write(folder / "labels.json", json.dumps(names, indent=1) + "\n")
+    present = np.unique(np.concatenate([one.faces for one in made])) if made else []
+    names = {str(part + 1): made[0].part_names[part] for part in present}
+    _write(folder / "labels.json", json.dumps(names, indent=1) + "\n")
     marks = {one.name: {k: [round(float(c), 6) for c in at] for k, at in one.landmarks.items()} for one in made}
     _write(folder / "landmarks.json", json.dumps(marks, indent=1) + "\n")
     table = io.StringIO()
