@@ -125,7 +125,13 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray], attributes: Mappi
                 chunks = _chunks(array.shape)
                 group.create_array(name, data=array, chunks=chunks, compressors=ZstdCodec(level=1))
         finally:
-            store.close()
+            _close(store)
+
+
+def _close(store: Any) -> None:
+    """Close a zip store; one that could not be opened has nothing to close and says so by an AttributeError."""
+    with contextlib.suppress(AttributeError):
+        store.close()
 
 
 def _chunks(shape: tuple[int, ...]) -> tuple[int, ...]:
@@ -148,10 +154,10 @@ def read_arrays(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         store = ZipStore(path, mode="r")
         try:
             group = zarr.open_group(store, mode="r")
-            arrays = {name: np.ascontiguousarray(array[...]) for name, array in group.arrays()}
+            arrays = {name: np.asarray(array[...], order="C") for name, array in group.arrays()}
             return {name: _native(array) for name, array in arrays.items()}, dict(group.attrs)
         finally:
-            store.close()
+            _close(store)
     except (zipfile.BadZipFile, KeyError, ValueError, FileNotFoundError, RuntimeError, OSError) as error:
         problem = f"is damaged ({type(error).__name__}: {error})"
         raise ProjectError(path, problem, "Delete it and run the stage that makes it again") from error
