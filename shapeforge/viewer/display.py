@@ -62,7 +62,7 @@ class LineLayer:
 class Mark:
     """Something small drawn above the shape in window pixels, at a place on the shape.
 
-    ``kind``: "dot" (filled, white rim), "ring" (hollow), "brush" (ring of ``radius`` diagonals), "twin" (dashed such
+    ``kind``: "dot" (filled, white rim), "ring" (hollow), "halo" (hollow, accent), "brush" (ring of ``radius`` diagonals), "twin" (dashed such
     ring), "line" (dashed, from ``at`` to ``to``), "arrow" (from ``at`` towards ``to``), "note" (a word with a pin).
     """
 

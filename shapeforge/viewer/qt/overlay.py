@@ -140,6 +140,11 @@ class Overlay(QWidget):
             painter.setPen(QPen(QColor("#FFFFFF"), 1.6))
             painter.setBrush(self._colour("accent") if mark.colour is None else line)
             painter.drawEllipse(here, 5.0, 5.0)
+        elif mark.kind == "halo":
+            painter.setPen(QPen(QColor(0, 0, 0, 90), 3.6))
+            painter.drawEllipse(here, 5.2, 5.2)
+            painter.setPen(QPen(self._colour("accent"), 2.0))
+            painter.drawEllipse(here, 5.2, 5.2)
         elif mark.kind == "ring":
             painter.setPen(QPen(line, 1.8))
             painter.setBrush(ground)
