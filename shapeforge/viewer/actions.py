@@ -340,13 +340,17 @@ def _stage_actions(actions: Actions) -> list[Action]:
         if session.running:
             actions.desk.control("resume" if session.is_paused else "pause")
         else:
-            actions.start_stage("fit")
+            actions.start_stage("fit", restart=is_done("fit"))
+
+    def is_done(stage: str) -> bool:
+        found = actions.stage_status().get(stage)
+        return found is not None and found.state == "done"
 
     def step(session: Session) -> None:
         if session.running:
             actions.desk.control("step")
         else:
-            actions.start_stage("fit")
+            actions.start_stage("fit", restart=is_done("fit"))
             actions.desk.control("step")
 
     return [
@@ -469,7 +473,7 @@ def make_exemplar(session: Session) -> None:
     exemplars = before.exemplars.copy()
     exemplars[g] = project.names.index(name)
     _change_groups(session, f"exemplar {name}", before, dataclasses.replace(before, exemplars=exemplars))
-    session.say(f"{name} is the exemplar of group {g + 1}", "ok")
+    session.say(f"{name} is the exemplar of {before.names[g]}", "ok")
 
 
 def can_leave_out(session: Session) -> Verdict:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from html import escape
 from pathlib import Path
@@ -21,7 +20,7 @@ from shapeforge.viewer.actions import (
     unpainted_exemplars,
 )
 from shapeforge.viewer.palette import rgb
-from shapeforge.viewer.qt.bind import ENABLING, Binding, action_button
+from shapeforge.viewer.qt.bind import Binding, action_button
 from shapeforge.viewer.qt.group_map import GroupMap, MapContent, group_colour
 from shapeforge.viewer.qt.icons import refresh, set_icon
 from shapeforge.viewer.qt.theme import PADDING
@@ -37,7 +36,7 @@ from shapeforge.viewer.qt.widgets import (
     clear,
     column,
     framed,
-    heading,
+    grouped,
     icon_label,
     label,
     row,
@@ -221,7 +220,7 @@ class CollectionPlace:
             content = MapContent(names, np.zeros(len(names), int))
         else:
             content = MapContent(
-                names, groups.group, groups.exemplars, groups.embedding, group_names(len(groups)), grouped=True
+                names, groups.group, groups.exemplars, groups.embedding, groups.names, grouped=True
             )
         self.map.set_content(content, rows=rows)
         self.mode.button("map").setEnabled(groups is not None)
@@ -231,7 +230,7 @@ class CollectionPlace:
     def _show_hint(self) -> None:
         groups = groups_of(self.session)
         if self.choosing:
-            self.hint.setText(HINTS["choose"].format(group=group_names(self.group + 1)[self.group]))
+            self.hint.setText(HINTS["choose"].format(group=groups.names[self.group]))
         elif groups is None and not self.session.project.names:
             self.hint.setText("No shapes yet: import some, or drop them here.")
         else:
@@ -253,8 +252,8 @@ class CollectionPlace:
         project, groups = self.session.project, groups_of(self.session)
         record = project.shape_record(name)
         g = group_of(self.session, name)
-        group = f" · {group_names(g + 1)[g]}" if g >= 0 else " · left out" if groups is not None else ""
-        facts = [f"{record['n_faces']:,} faces".replace(",", " ")]
+        group = f" · {groups.names[g]}" if g >= 0 else " · left out" if groups is not None else ""
+        facts = [f"{grouped(record['n_faces'])} faces"]
         facts += [note for note in record.get("notes", ()) if len(note) < 40][:1]
         if g >= 0 and groups.dissimilarity is not None:
             t, e = project.names.index(name), int(groups.exemplars[g])
@@ -275,7 +274,7 @@ class CollectionPlace:
             self.group_list.setContentsMargins(8, 0, 8, 0)
             return
         self.group_list.setContentsMargins(0, 0, 0, 0)
-        for g, name in enumerate(group_names(len(groups))):
+        for g, name in enumerate(groups.names):
             picture = Picture((34, 30))
             disc = Swatch(group_colour(g, len(groups)), size=14, disc=True)
             line = row(
@@ -312,10 +311,10 @@ class CollectionPlace:
             return
         g = self.group
         exemplar = project.names[groups.exemplars[g]]
-        self.exemplar_title.setText(f"Exemplar of {group_names(g + 1)[g]}")
+        self.exemplar_title.setText(f"Exemplar of {groups.names[g]}")
         self.typical.setText(typical_text(groups, g))
         self.preview_name.setText(exemplar)
-        self.preview_about.setText(f"{project.shape_record(exemplar)['n_faces']:,} faces".replace(",", " "))
+        self.preview_about.setText(f"{grouped(project.shape_record(exemplar)['n_faces'])} faces")
         can, why = can_make_exemplar(self.session)
         if self.choosing:
             self.choose_button.setText("Keep the present one")
@@ -514,11 +513,6 @@ class CollectionPlace:
 
 PREVIEW_PIXELS = (PREVIEW[0] * 2, PREVIEW[1] * 2)
 PHASES = {"import": "Reading", "group": "Grouping", "cosegment": "Proposing parts", "fit": "Fitting", "learn": "Learning"}
-
-
-def group_names(count: int) -> tuple[str, ...]:
-    """What the groups are called: "Group 1", "Group 2", …"""
-    return tuple(f"Group {g + 1}" for g in range(count))
 
 
 def typical_text(groups: object, g: int) -> str:

@@ -6,7 +6,7 @@ from PySide6.QtCore import QPoint, QStringListModel, Qt
 from PySide6.QtGui import QAction, QKeyEvent
 from PySide6.QtWidgets import QCompleter, QFrame, QLineEdit, QMenu, QWidget
 
-from shapeforge.viewer.actions import PLACE_NAMES, Actions, group_of
+from shapeforge.viewer.actions import PLACE_NAMES, Actions, group_of, groups_of
 from shapeforge.viewer.qt.bind import ENABLING, Binding, action_button, native
 from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.theme import HEADER, PADDING
@@ -102,7 +102,7 @@ class Header(QFrame):
             crumbs.append((PLACE_NAMES[session.place], self._to_collection))
         else:
             if g >= 0:
-                crumbs.append((f"Group {g + 1}", self._to_collection))
+                crumbs.append((groups_of(session).names[g], self._to_collection))
             crumbs.append((session.shape, self._to_collection))
         for i, (text, go) in enumerate(crumbs):
             last = i == len(crumbs) - 1

@@ -30,6 +30,8 @@ def font(pixels: int = 13, weight: int = 400) -> QFont:
     result = QFont([family(), "DejaVu Sans"])
     result.setPixelSize(pixels)
     result.setWeight(QFont.Weight(weight))
+    # Hinted stems of small text are a whole pixel wide: regular text would look bold.
+    result.setHintingPreference(QFont.HintingPreference.PreferNoHinting)
     result.setFeature(QFont.Tag("tnum"), 1)
     return result
 
@@ -60,6 +62,7 @@ QWidget#strip {{ background: {panel}; border-top: 1px solid {separator}; }}
 QWidget#centre, QWidget#start {{ background: {view}; }}
 QWidget#panel, QScrollArea#panel, QScrollArea#panel > QWidget > QWidget {{ background: {panel}; border: none; }}
 QWidget#view_row {{ background: {view}; border-bottom: 1px solid {separator}; }}
+QWidget#view_foot {{ background: {view}; }}
 QWidget#bar {{ background: {panel}; border-top: 1px solid {separator}; }}
 QFrame#hline {{ background: {separator}; max-height: 1px; min-height: 1px; border: none; }}
 QFrame#vline {{ background: {separator}; max-width: 1px; min-width: 1px; border: none; }}
@@ -70,6 +73,7 @@ QLabel[role="large"] {{ font-size: 22px; font-weight: 600; }}
 QLabel[role="text2"] {{ color: {text_2}; }}
 QLabel[role="strong"] {{ font-weight: 500; }}
 QLabel[role="off"] {{ color: {text_off}; }}
+QLabel[role="warning"] {{ color: {warning}; }}
 QLabel[role="caption"] {{ color: {text_2}; font-size: 11px; }}
 QLabel[role="caption_off"] {{ color: {text_off}; font-size: 11px; }}
 QLabel[role="caption_ok"] {{ color: {ok}; font-size: 11px; }}

@@ -8,7 +8,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
-from PySide6.QtGui import QColor, QFontMetrics, QKeyEvent, QMouseEvent, QPainter, QPainterPath, QPaintEvent, QPen, QPixmap
+from PySide6.QtGui import (
+    QColor,
+    QFontMetrics,
+    QKeyEvent,
+    QMouseEvent,
+    QPainter,
+    QPainterPath,
+    QPaintEvent,
+    QPen,
+    QPixmap,
+)
 from PySide6.QtWidgets import (
     QAbstractButton,
     QBoxLayout,
@@ -41,6 +51,11 @@ def _fill(box: QBoxLayout, items: Sequence[QWidget | QBoxLayout | int | None], s
             box.addLayout(item)
         else:
             box.addWidget(item)
+
+
+def grouped(number: int) -> str:
+    """A whole number with a thin space every three digits: 12 640, the same in every locale."""
+    return f"{number:,}".replace(",", "\u2009")
 
 
 def row(*items: QWidget | QBoxLayout | int | None, spacing: int = 8, margins: Margins = (0, 0, 0, 0)) -> QHBoxLayout:

@@ -9,7 +9,16 @@ from typing import Any, Protocol
 
 from PySide6.QtCore import QObject, Qt, Signal
 from PySide6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent, QKeySequence
-from PySide6.QtWidgets import QApplication, QDialog, QFileDialog, QFrame, QGridLayout, QHBoxLayout, QStackedWidget, QWidget
+from PySide6.QtWidgets import (
+    QApplication,
+    QDialog,
+    QFileDialog,
+    QFrame,
+    QGridLayout,
+    QHBoxLayout,
+    QStackedWidget,
+    QWidget,
+)
 
 from shapeforge.viewer.actions import PLACE_NAMES, Actions, place_verdict
 from shapeforge.viewer.qt import icons
@@ -121,9 +130,9 @@ class Window(QWidget):
         grid.addWidget(self.stacks["inspector"], 0, 1, 3, 1)
         grid.setRowStretch(1, 1)
         grid.setColumnStretch(0, 1)
-        self.start = StartPage(self.actions_table, self.binding)
+        self.start_page = StartPage(self.actions_table, self.binding)
         self.pages = QStackedWidget()
-        self.pages.addWidget(self.start)
+        self.pages.addWidget(self.start_page)
         self.pages.addWidget(frame)
         outer = QHBoxLayout(self)
         outer.setContentsMargins(0, 0, 0, 0)

@@ -1,0 +1,185 @@
+"""What the window remembers of a fit, and what it shows of it.  Numpy only.
+
+A state of the fit holds beliefs about every shape; the window keeps of each round only its numbers and, of the shapes
+watched, where the template points were: memory does not grow with the collection.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from shapeforge.collection.shape import Shape
+from shapeforge.viewer.display import Caption, Display, LineLayer, MeshLayer, PointLayer, View, probability_colours
+from shapeforge.viewer.palette import SWITCHED_OFF, heat, part_colours, rgb
+
+POINT_SIZE, OFF_SIZE = 4.2, 2.4
+SMALLEST_MOVE = 2e-3
+"""Diagonals a point must have moved for its line to be drawn."""
+LEAP = 0.15
+"""Mean movement (diagonals) in one round that no template makes: it was exchanged for another."""
+FULL_HEAT = 0.05
+"""Movement (diagonals) shown as the hottest colour."""
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPoints:
+    """Template points of one shape in one round: positions (K, 3) in diagonals, and which template they are."""
+
+    positions: Float[np.ndarray, "K 3"]
+    template: int
+    active: Bool[np.ndarray, " L"]
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One round of a fit.  ``energy`` is nats per surface point; ``sigma`` (L,), ``change`` and ``moved`` diagonals.
+
+    ``moved`` has every shape's mean movement since the round before; ``points`` the watched shapes only.
+    """
+
+    number: int
+    of: int
+    energy: float
+    change: float
+    sigma: Float[np.ndarray, " L"]
+    points: dict[str, FittedPoints] = field(default_factory=dict)
+    moved: dict[str, float] = field(default_factory=dict)
+    stop_reason: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class TemplateLook:
+    """What the window needs of one exemplar's templates: the part of each point (K,), and whose they are."""
+
+    label: Int[np.ndarray, " K"]
+    part_names: tuple[str, ...]
+    source: str
+
+
+def best_beliefs(state: Any, index: int) -> Any:
+    """The beliefs about shape ``index`` of a fit's state, without blending the others in (positions are the same)."""
+    if hasattr(state, "candidates"):
+        return max(state.candidates[index], key=lambda candidate: candidate.weight).beliefs
+    return state.beliefs[index]
+
+
+def all_beliefs(state: Any, index: int) -> Any:
+    """The beliefs about shape ``index`` with the label probabilities of all explanations tried."""
+    if hasattr(state, "candidates"):
+        from shapeforge.deformation.fit import blend
+
+        return blend(state.candidates[index])
+    return state.beliefs[index]
+
+
+def looks_of(state: Any) -> tuple[TemplateLook, ...]:
+    """The parts of every template of a state."""
+    return tuple(TemplateLook(t.label, tuple(t.part_names), t.source) for t in state.templates)
+
+
+def record_round(state: Any, names: Sequence[str], watched: Sequence[str], before: Any | None) -> Round:
+    """What to remember of a state; ``before`` is the state of the round before, for the movement."""
+    points: dict[str, FittedPoints] = {}
+    moved: dict[str, float] = {}
+    for index, name in enumerate(names):
+        beliefs = best_beliefs(state, index)
+        if before is not None:
+            old = best_beliefs(before, index)
+            if old.template == beliefs.template and len(old.deformed) == len(beliefs.deformed):
+                moved[name] = float(np.linalg.norm(beliefs.deformed - old.deformed, axis=1).mean())
+        if name in watched:
+            points[name] = FittedPoints(np.asarray(beliefs.deformed, np.float32), int(beliefs.template), beliefs.active)
+    sigma = np.asarray(state.sigma_by_part, float)
+    return Round(
+        int(state.round), int(state.of), float(state.energy), float(state.change), sigma, points, moved,
+        state.stop_reason,
+    )  # fmt: skip
+
+
+def point_colours(
+    look: TemplateLook, fitted: FittedPoints, by: str, moved: Float[np.ndarray, " K"] | None = None
+) -> UInt8[np.ndarray, "K 3"]:
+    """Colours (K, 3) of template points: by "part" (switched-off parts grey) or by "movement" (heat)."""
+    if by == "movement":
+        values = np.zeros(len(look.label)) if moved is None else np.asarray(moved, float) / FULL_HEAT
+        return heat(values)
+    colours = part_colours(len(look.part_names))[look.label]
+    colours[~fitted.active[look.label]] = rgb(SWITCHED_OFF)
+    return colours
+
+
+def movement(now: FittedPoints, before: FittedPoints | None) -> Float[np.ndarray, " K"] | None:
+    """How far each template point moved (K,) in diagonals; None when another template explained the shape before."""
+    if before is None or before.template != now.template or len(before.positions) != len(now.positions):
+        return None
+    moved = np.linalg.norm(now.positions - before.positions, axis=1).astype(float)
+    # Rounds on disk do not say which template they are of; a leap this long is another template's points.
+    return moved if moved.mean() < LEAP else None
+
+
+def mesh_layer(shape: Shape, colour: str, opacity: float = 1.0, key: str = "mesh") -> MeshLayer:
+    """The mesh of a shape in one colour."""
+    mesh = shape.mesh
+    colours = np.broadcast_to(np.array(rgb(colour), np.uint8), (len(mesh.triangles), 3))
+    vertices = np.asarray(mesh.vertices, float)
+    return MeshLayer(key, vertices, mesh.triangles, np.ascontiguousarray(colours), opacity=opacity)
+
+
+def probable_layer(shape: Shape, probabilities: Float[np.ndarray, "F L"]) -> MeshLayer:
+    """The mesh of a shape in the colours of its probable parts, pale where it is unsure."""
+    mesh = shape.mesh
+    colours = probability_colours(np.asarray(probabilities, float))[mesh.face_of_triangle]
+    return MeshLayer("parts", np.asarray(mesh.vertices, float), mesh.triangles, np.ascontiguousarray(colours))
+
+
+def template_view(
+    ghost: MeshLayer, look: TemplateLook | None, now: FittedPoints | None, before: FittedPoints | None, by: str,
+    captions: tuple[Caption, ...] = (),
+) -> View:  # fmt: skip
+    """Template points over the ghost of the shape; lines show what moved since the round before."""
+    layers: list[MeshLayer | PointLayer | LineLayer] = [ghost]
+    if look is not None and now is not None and len(now.positions) == len(look.label):
+        moved = movement(now, before)
+        colours = point_colours(look, now, by, moved)
+        on = now.active[look.label]
+        positions = np.asarray(now.positions, float)
+        layers.append(PointLayer("points", positions[on], colours[on], POINT_SIZE))
+        if (~on).any():
+            layers.append(PointLayer("off", positions[~on], colours[~on], OFF_SIZE))
+        if moved is not None and before is not None:
+            far = on & (moved > SMALLEST_MOVE)
+            segments = np.stack([np.asarray(before.positions, float)[far], positions[far]], axis=1)
+            if len(segments):
+                layers.append(LineLayer("moved", segments, (200, 203, 210), 1.0, 0.7))
+    return View(tuple(layers), captions=captions)
+
+
+def three_views(
+    plain: MeshLayer, ghost: MeshLayer, look: TemplateLook | None, now: FittedPoints | None, before: FittedPoints | None,
+    parts: MeshLayer | None, by: str,
+) -> Display:  # fmt: skip
+    """Input, template points over its ghost, and probable parts (None: not yet), side by side under one camera."""
+    last = View((parts if parts is not None else ghost,))
+    return Display((View((plain,)), template_view(ghost, look, now, before, by), last), 1, 3)
+
+
+def sureness(segmentation: Float[np.ndarray, "P L"]) -> Float[np.ndarray, " L"]:
+    """How sure the points of each part are of it (L,): mean probability where the part is the most probable; NaN none."""
+    best = segmentation.argmax(axis=1)
+    count = np.bincount(best, minlength=segmentation.shape[1])
+    total = np.bincount(best, segmentation.max(axis=1), segmentation.shape[1])
+    return np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
+
+
+def to_plane(points: Float[np.ndarray, "n 3"], direction: Sequence[float] = (1.0, 0.6, 1.5)) -> Float[np.ndarray, "n 3"]:
+    """Points seen from ``direction``, y up: right, down and depth (n, 3), the nearest with the greatest depth."""
+    away = np.asarray(direction, float) / np.linalg.norm(direction)
+    right = np.cross((0.0, 1.0, 0.0), away)
+    right /= np.linalg.norm(right)
+    down = -np.cross(away, right)
+    return np.asarray(points, float) @ np.stack([right, down, away], axis=1)

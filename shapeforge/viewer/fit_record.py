@@ -1,0 +1,117 @@
+"""What is known of the fit of a project: the rounds seen while it ran, else what is recorded on disk."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from shapeforge.viewer.fit_display import (
+    FittedPoints,
+    Round,
+    TemplateLook,
+    all_beliefs,
+    best_beliefs,
+    looks_of,
+    record_round,
+)
+
+
+class FitRecord:
+    """Rounds and templates of one project's fit, live or from disk.  It belongs to the GUI thread."""
+
+    def __init__(self, project: Any) -> None:
+        self.project = project
+        self.rounds: dict[int, Round] = {}
+        self.looks: tuple[TemplateLook, ...] = ()
+        self.active = np.zeros((0, 0), bool)
+        self.state: Any | None = None
+        """The newest live state; None when nothing has run since the project was opened."""
+        self._disk: dict[str, list[FittedPoints]] = {}
+        self._loaded: str | None = None
+
+    # -- live ------------------------------------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        """A fit starts: forget the rounds of the one before."""
+        self.rounds, self.state, self._disk, self._loaded = {}, None, {}, None
+
+    def add(self, state: Any, watched: tuple[str, ...]) -> bool:
+        """Take a state of the running fit; False when it is no new round."""
+        if not hasattr(state, "templates"):
+            return False
+        if state.round in self.rounds and self.state is not None and self.state.round == state.round:
+            return False
+        if state.round == 0:
+            self.begin()
+        self.rounds[state.round] = record_round(state, self.project.names, watched, self.state)
+        self.state = state
+        self._keep(state)
+        return True
+
+    # -- from disk -------------------------------------------------------------------------------------------------
+
+    def load(self) -> None:
+        """Without a live fit: the numbers and templates of the last complete one (its points are read when asked for)."""
+        found = self.project.fit_id
+        if self.state is not None or found is None or self._loaded == found:
+            return
+        state = self.project.fit()
+        self._loaded, self._disk = found, {}
+        if state is None:
+            return
+        self._keep(state)
+        self.rounds = {int(state.round): record_round(state, self.project.names, (), None)}
+
+    @property
+    def newest(self) -> int:
+        """Number of the newest round, -1 before there is any."""
+        return max(self.rounds, default=-1)
+
+    @property
+    def planned(self) -> int:
+        """How many rounds are planned."""
+        return self.rounds[self.newest].of if self.rounds else 10
+
+    def points(self, name: str, number: int) -> FittedPoints | None:
+        """Template points of a shape after a round, None when they were not recorded."""
+        known = self.rounds.get(number)
+        if known is not None and name in known.points:
+            return known.points[name]
+        if self.state is not None:
+            if number != self.state.round or name not in self.project.names:
+                return None
+            one = record_round(self.state, self.project.names, (name,), None).points[name]
+            self.rounds[number].points[name] = one
+            return one
+        recorded = self._read(name)
+        return recorded[number] if 0 <= number < len(recorded) else None
+
+    def _read(self, name: str) -> list[FittedPoints]:
+        if name not in self._disk:
+            beliefs = self.project.beliefs(name)
+            if beliefs is None:
+                return []
+            rounds = [np.asarray(points, np.float32) for points in self.project.rounds(name)]
+            # The file of a round does not say which template it was: points of another number were another's.
+            end = np.asarray(beliefs.deformed, np.float32)
+            newest = max(self.newest, 0)
+            rounds = [*rounds[:newest], end] if len(rounds) >= newest else [end] * (newest + 1)
+            self._disk[name] = [FittedPoints(p, int(beliefs.template), beliefs.active) for p in rounds]
+        return self._disk[name]
+
+    def beliefs(self, name: str) -> Any | None:
+        """The newest beliefs about a shape."""
+        if self.state is not None and name in self.project.names:
+            return all_beliefs(self.state, self.project.names.index(name))
+        return self.project.beliefs(name)
+
+    def off_elsewhere(self, part: int, name: str) -> tuple[str, ...]:
+        """Other shapes on which a part is switched off, by the newest beliefs."""
+        off = np.flatnonzero(~self.active[:, part]) if part < self.active.shape[1] else ()
+        return tuple(self.project.names[t] for t in off if t < len(self.project.names) and self.project.names[t] != name)
+
+    def _keep(self, state: Any) -> None:
+        self.looks = looks_of(state)
+        number = len(state.candidates) if hasattr(state, "candidates") else len(state.beliefs)
+        self.active = np.stack([best_beliefs(state, t).active for t in range(number)])

@@ -1,0 +1,575 @@
+"""Fit: watch the templates find their way to every shape; run, pause, step, stop, and look back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from PySide6.QtCore import Qt, QTimer
+from PySide6.QtGui import QImage
+from PySide6.QtWidgets import QWidget
+
+from shapeforge.viewer.actions import Action, Actions, group_of, groups_of
+from shapeforge.viewer.display import Caption, Display, grid_of
+from shapeforge.viewer.fit_display import (
+    FULL_HEAT,
+    MeshLayer,
+    Round,
+    TemplateLook,
+    mesh_layer,
+    movement,
+    point_colours,
+    probable_layer,
+    sureness,
+    template_view,
+    three_views,
+)
+from shapeforge.viewer.fit_record import FitRecord
+from shapeforge.viewer.palette import SWITCHED_OFF, part_colours, tokens
+from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.fit_widgets import PointPicture, Scrubber, draw_points
+from shapeforge.viewer.qt.icons import refresh, set_icon
+from shapeforge.viewer.qt.plots import Curves
+from shapeforge.viewer.qt.theme import PADDING
+from shapeforge.viewer.qt.widgets import (
+    Choice,
+    ElidedLabel,
+    Segments,
+    Swatch,
+    button,
+    clear,
+    column,
+    framed,
+    grouped,
+    heading,
+    icon_label,
+    label,
+    row,
+    scrolled,
+    section,
+    separator,
+    set_style,
+)
+from shapeforge.viewer.runner import duration
+from shapeforge.viewer.session import Session
+
+WATCHED_AT_MOST = 9
+STILL_MOVING = 0.02
+"""Mean movement (diagonals) in a round above which a shape is said to be still moving."""
+LEGEND_AT_MOST = 5
+
+
+class FitPlace:
+    """Three linked views, other shapes below, curves and parts at the right, rounds in the strip."""
+
+    def __init__(self, session: Session, actions: Actions, view_factory: Callable[[], QWidget]) -> None:
+        self.session, self.actions = session, actions
+        self.binding = Binding(session)
+        self.record: FitRecord | None = None
+        self._layers: dict[tuple, MeshLayer] = {}
+        self._pictures: dict[tuple, QImage] = {}
+        self._fitted_shape: object = None
+        actions.add(
+            Action("correct", "Correct by painting", self._correct, self._can_correct, "C",
+                   "Paint the shape; the next fit takes it as evidence", "paint", "fit")
+        )  # fmt: skip
+        self.view = view_factory()
+        self.toolbar_widget = self._make_tools()
+        self.centre = self._make_centre()
+        self.inspector = self._make_inspector()
+        self.strip = self._make_strip()
+        # Several changes at once are shown once.
+        self._soon = QTimer(self.centre, singleShot=True, interval=0)
+        self._soon.timeout.connect(self._show_all)
+        self.view.camera_moved.connect(self._camera_moved)
+        self.binding.on(("project",), self._project_changed)
+        self.binding.on(("progress",), self._take_progress)
+        self.binding.on(("shape", "round", "data", "theme", "watched"), self._show_soon, now=False)
+        self.binding.on(("running", "is_paused", "progress", "status", "shape", "data", "theme"), self._show_run, now=False)
+
+    def enter(self) -> None:
+        """Look at the selected shape, else at the first exemplar."""
+        session = self.session
+        if session.shape is None and session.project.names:
+            groups = groups_of(session)
+            session.shape = session.project.names[int(groups.exemplars[0]) if groups is not None else 0]
+        if not session.watched:
+            session.watched = self._default_watched()
+        self._show_all()
+        self._show_run()
+
+    def leave(self) -> None:
+        """Nothing runs in this place itself."""
+        self._soon.stop()
+
+    def close(self) -> None:
+        """The window closes."""
+        self.binding.close()
+        self._soon.stop()
+        self.view.shut()
+
+    # -- making ----------------------------------------------------------------------------------------------------
+
+    def _make_tools(self) -> QWidget:
+        self.watch = Choice("Watch", [], "", tooltip="Which shape to look at")
+        self.watch.chosen.connect(self._watch)
+        self.mode = Segments([("one", "One shape", ""), ("grid", "Grid", "")], "one")
+        self.mode.chosen.connect(lambda _: self._show_all())
+        self.by = Choice("Colour by", [("part", "part"), ("movement", "movement")], "part")
+        self.by.chosen.connect(lambda _: self._show_all())
+        self.home = button(icon="home", kind="tool", tooltip="Show all of the shape")
+        self.home.clicked.connect(lambda: self.view.fit())
+        self.linked = button(icon="link", kind="tool", checkable=True, tooltip="Turn the small pictures along")
+        self.linked.setChecked(self.session.linked)
+        self.linked.toggled.connect(lambda on: setattr(self.session, "linked", on))
+        self.linked.toggled.connect(lambda _: self._camera_moved())
+        return framed(
+            row(self.watch, self.mode, self.by, None, self.home, self.linked, margins=(PADDING, 0, PADDING, 0))
+        )
+
+    def _make_centre(self) -> QWidget:
+        self.heads: list[tuple[ElidedLabel, ElidedLabel]] = []
+        cells = []
+        for i, title in enumerate(("Input", "Template", "Probable parts")):
+            name, about = label(title, "heading"), ElidedLabel("", "text2")
+            self.heads.append((name, about))
+            cell = framed(row(name, about, None, margins=(12, 0, 8, 0)), "view_row", height=32)
+            if i:
+                cells.append(separator(vertical=True, height=32))
+            cells.append(cell)
+        self.head_row = row(spacing=0)
+        for cell in cells:
+            self.head_row.addWidget(cell, 0 if cell.width() == 1 else 1)
+        self.heads_widget = QWidget()
+        self.heads_widget.setLayout(self.head_row)
+        self.legend = row(spacing=6, margins=(12, 0, 12, 0))
+        legend_bar = framed(self.legend, "view_foot", height=30)
+        self.also_title, self.also_count = label("Also watching", "heading"), label("", "text2")
+        self.sort = Choice("Sort by", [("name", "name"), ("movement", "movement")], "movement")
+        self.sort.chosen.connect(lambda _: self._show_also())
+        self.also_row = row(spacing=4, margins=(12, 0, 12, 6))
+        self.also: list[PointPicture] = []
+        also = framed(
+            column(
+                row(self.also_title, self.also_count, None, self.sort, margins=(PADDING, 4, PADDING, 0)),
+                self.also_row, spacing=2,
+            ),
+            "bar", height=186,
+        )  # fmt: skip
+        self.also_frame = also
+        result = QWidget()
+        result.setObjectName("centre")
+        box = column(self.heads_widget, spacing=0)
+        box.addWidget(self.view, 1)
+        box.addWidget(legend_bar)
+        box.addWidget(also)
+        result.setLayout(box)
+        result.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        return result
+
+    def _make_inspector(self) -> QWidget:
+        self.energy, self.sigma = Curves(), Curves(from_zero=True)
+        self.energy_text = label("", "caption", wrap=True)
+        self.parts_title = label("Parts", "heading")
+        self.part_list = column(spacing=0)
+        self.note_title, self.note_text = label("", "heading"), label("", "caption", wrap=True)
+        self.note_show = button("", kind="link", tooltip="Watch these shapes below")
+        self.note_show.clicked.connect(self._watch_off)
+        words = column(self.note_title, self.note_text, 2, row(self.note_show, None), spacing=2)
+        self.note = framed(
+            row(column(icon_label("info", "accent_text"), None), words, margins=(12, 10, 12, 10)), "note"
+        )
+        body = scrolled(
+            section(heading("Energy", "", label("nats per point", "caption")), self.energy, self.energy_text, spacing=4),
+            section(heading("Spread σ by part", "", label("% of size", "caption")), self.sigma, spacing=4),
+            section(row(self.parts_title), self.part_list, self.note, line=False),
+        )
+        self.correct = action_button(self.actions, "correct", self.binding)
+        self.correct_text = label("", "caption", wrap=True)
+        self.next = action_button(self.actions, "go_correspondence", self.binding, text="Compare points", kind="primary")
+        foot = column(self.correct, self.correct_text, self.next, spacing=6, margins=(PADDING, 12, PADDING, 12))
+        result = QWidget()
+        result.setLayout(column(body, separator(), foot, spacing=0))
+        return result
+
+    def _make_strip(self) -> QWidget:
+        self.run = action_button(self.actions, "fit", self.binding, kind="primary")
+        self.run.setFixedWidth(112)
+        self.step = action_button(self.actions, "step", self.binding, text="", kind="tool")
+        self.stop = action_button(self.actions, "stop", self.binding, text="", kind="tool")
+        self.round_text, self.left_text = label("", "heading"), label("", "text2")
+        self.phase_text = ElidedLabel("", "caption")
+        left = column(
+            row(self.run, self.step, self.stop, label("Space", "keycap"), None),
+            4, row(self.round_text, self.left_text, None, spacing=4), self.phase_text, None,
+            spacing=0, margins=(PADDING, 12, 0, 0),
+        )  # fmt: skip
+        holder = QWidget()
+        holder.setFixedWidth(264)
+        holder.setLayout(left)
+        self.scrubber = Scrubber()
+        self.scrubber.moved.connect(self._look_back)
+        result = QWidget()
+        box = row(holder, spacing=8, margins=(0, 0, 8, 0))
+        box.addWidget(self.scrubber, 1)
+        result.setLayout(box)
+        return result
+
+    # -- what is watched -------------------------------------------------------------------------------------------
+
+    def _here(self) -> bool:
+        return self.session.project is not None and self.session.place == "fit"
+
+    def _default_watched(self) -> tuple[str, ...]:
+        """Shapes of every group in turn, the exemplars last: they are explained from the start."""
+        groups, names = groups_of(self.session), self.session.project.names
+        if groups is None:
+            return names[:WATCHED_AT_MOST]
+        exemplars = set(groups.exemplars.tolist())
+        queues = [[t for t in groups.members(g) if t not in exemplars] for g in range(len(groups))]
+        order = [queue[i] for i in range(max(map(len, queues), default=0)) for queue in queues if i < len(queue)]
+        order += sorted(exemplars)
+        return tuple(names[t] for t in order[:WATCHED_AT_MOST])
+
+    def _watch(self, name: str) -> None:
+        if name == "":
+            self.actions.run("find")
+        else:
+            self.session.shape = name
+
+    def _project_changed(self) -> None:
+        project = self.session.project
+        self.record = None if project is None else FitRecord(project)
+        self._layers.clear()
+        self._pictures.clear()
+        self._fitted_shape = None
+
+    def _take_progress(self) -> None:
+        progress = self.session.progress
+        if progress is None or self.record is None or getattr(progress, "stage", "") not in ("fit", "refine"):
+            return
+        watched = tuple({*self.session.watched, *((self.session.shape,) if self.session.shape else ())})
+        if progress.state is not None and self.record.add(progress.state, watched):
+            self.session.round = None
+            self._pictures.clear()
+            self._show_soon()
+
+    def _look_back(self, number: int) -> None:
+        self.session.round = None if self.record is None or number == self.record.newest else number
+
+    def _number(self) -> int:
+        """The round looked at."""
+        newest = self.record.newest if self.record is not None else -1
+        return newest if self.session.round is None else min(self.session.round, newest)
+
+    # -- showing ---------------------------------------------------------------------------------------------------
+
+    def _show_soon(self) -> None:
+        if self._here():
+            self._soon.start()
+
+    def _show_all(self) -> None:
+        if not self._here() or self.record is None:
+            return
+        if not self.session.running:
+            self.record.load()
+        self._show_tools()
+        self._show_views()
+        self._show_legend()
+        self._show_also()
+        self._show_curves()
+        self._show_parts()
+        self._show_scrubber()
+        refresh(self.inspector, self.session.theme)
+
+    def _show_tools(self) -> None:
+        session = self.session
+        groups, g = groups_of(session), group_of(session, session.shape)
+        names = session.project.names
+        near = [names[t] for t in groups.members(g)] if g >= 0 else list(names)
+        options = [(name, name) for name in near[:24]]
+        self.watch.set_options([*options, ("", "Find another…")], session.shape or "")
+
+    def _look(self, template: int) -> TemplateLook | None:
+        looks = self.record.looks
+        return looks[template] if 0 <= template < len(looks) else None
+
+    def _layer(self, name: str, kind: str) -> MeshLayer:
+        """A mesh layer that keeps its identity, so that an unchanged view is not drawn again."""
+        number = self.record.newest if kind == "parts" else 0
+        stamp = (name, kind, self.session.theme, number, self.session.revision)
+        if stamp not in self._layers:
+            if len(self._layers) > 60:
+                self._layers.clear()
+            shape = self.session.project.shapes.named(name)
+            if kind == "parts":
+                self._layers[stamp] = probable_layer(shape, self._probabilities(name, shape))
+            else:
+                colour = tokens(self.session.theme)["shape"]
+                self._layers[stamp] = mesh_layer(shape, colour, 1.0 if kind == "plain" else 0.16, kind)
+        return self._layers[stamp]
+
+    def _probabilities(self, name: str, shape: object) -> np.ndarray:
+        if self.record.state is None:
+            known = self.session.project.face_probabilities(name)
+            if known is not None:
+                return known
+        from shapeforge.deformation.faces import face_probabilities
+
+        return face_probabilities(shape, self.record.beliefs(name))
+
+    def _show_views(self) -> None:
+        session, number = self.session, self._number()
+        if session.shape is None:
+            return
+        one = self.mode.button("one").isChecked()
+        self.heads_widget.setVisible(one)
+        first = self._fitted_shape != (session.shape, one, session.project.path)
+        self._fitted_shape = (session.shape, one, session.project.path)
+        if not one:
+            self.view.display(self._grid(number), fit=first)
+            return
+        name = session.shape
+        now, before = self.record.points(name, number), self.record.points(name, number - 1)
+        look = self._look(now.template) if now is not None else None
+        known = now is not None and self.record.beliefs(name) is not None
+        display = three_views(
+            self._layer(name, "plain"), self._layer(name, "ghost"), look, now, before,
+            self._layer(name, "parts") if known else None, self.by.value_text(),
+        )  # fmt: skip
+        self.view.display(display, fit=first)
+        shape = session.project.shapes.named(name)
+        self.heads[0][1].setText(f"{name}, {grouped(shape.n_points)} points")
+        if now is None:
+            self.heads[1][1].setText("not fitted yet")
+            self.heads[2][1].setText("after the fit")
+        else:
+            source = f" from {look.source}" if look is not None and look.source else ""
+            self.heads[1][1].setText(f"{now.template + 1} of {len(self.record.looks)}{source}")
+            self.heads[2][1].setText("pale = unsure")
+
+    def _grid(self, number: int) -> Display:
+        names = tuple(dict.fromkeys((self.session.shape, *self.session.watched)))[: WATCHED_AT_MOST + 1]
+        rows, columns = grid_of(len(names), 1.5)
+        views = []
+        for name in names:
+            now, before = self.record.points(name, number), self.record.points(name, number - 1)
+            look = self._look(now.template) if now is not None else None
+            lines = [(name, "strong"), (self._moved_text(name)[0], "plain")]
+            caption = (Caption("top left", tuple(lines)),)
+            views.append(template_view(self._layer(name, "ghost"), look, now, before, self.by.value_text(), caption))
+        return Display(tuple(views), rows, columns)
+
+    def _show_legend(self) -> None:
+        clear(self.legend)
+        looks = self.record.looks
+        if self.by.value_text() == "movement":
+            self.legend.addWidget(label(f"pale: at rest · dark red: moved {100 * FULL_HEAT:g}% of size or more", "caption"))
+        elif looks:
+            names = looks[0].part_names
+            inks = part_colours(len(names))
+            for part, name in enumerate(names[:12]):
+                self.legend.addWidget(Swatch("#{:02X}{:02X}{:02X}".format(*inks[part]), size=10))
+                self.legend.addWidget(label(name, "caption"))
+                self.legend.addSpacing(6)
+            self.legend.addWidget(Swatch(SWITCHED_OFF, size=8, disc=True))
+            self.legend.addWidget(label("switched off", "caption"))
+            if self._number() > 0:
+                self.legend.addSpacing(6)
+                self.legend.addWidget(label(f"—  moved since round {self._number() - 1}", "caption"))
+        else:
+            said = "Run the fit: the templates of the painted exemplars find their way to every shape."
+            self.legend.addWidget(label(said, "caption"))
+        self.legend.addStretch(1)
+
+    def _moved_text(self, name: str) -> tuple[str, bool]:
+        known: Round | None = self.record.rounds.get(self._number())
+        moved = known.moved.get(name) if known is not None else None
+        if moved is None:  # a fit from disk: its rounds tell
+            now, before = self.record.points(name, self._number()), self.record.points(name, self._number() - 1)
+            far = None if now is None else movement(now, before)
+            if far is None:
+                return "", False
+            moved = float(far.mean())
+        still = moved > STILL_MOVING
+        return f"{'still moving' if still else 'moved'} {100 * moved:.1f}%", still
+
+    def _show_also(self) -> None:
+        session, number = self.session, self._number()
+        names = [name for name in session.watched if name in session.project.names]
+        known = self.record.rounds.get(number)
+        if self.sort.value_text() == "movement" and known is not None and known.moved:
+            names.sort(key=lambda name: -known.moved.get(name, 0.0))
+        elif self.sort.value_text() == "name":
+            names.sort()
+        self.also_count.setText(f"{len(names)} of {len(session.project.names)}")
+        if [one.name for one in self.also] != names:
+            clear(self.also_row)
+            self.also = []
+            for name in names:
+                one = PointPicture(name, (84, 130))
+                one.clicked.connect(self._watch)
+                self.also_row.addWidget(one, 1)
+                self.also.append(one)
+        for one in self.also:
+            now = self.record.points(one.name, number)
+            look = self._look(now.template) if now is not None else None
+            if now is None or look is None or len(look.label) != len(now.positions):
+                one.show_points(None, None)
+            else:
+                one.show_points(now.positions, point_colours(look, now, "part"))
+            one.caption, one.warn = self._moved_text(one.name)
+            one.current = one.name == session.shape
+            one.look_from(self._direction())
+            one.update()
+
+    def _direction(self) -> tuple[float, ...]:
+        if not self.session.linked:
+            return (1.0, 0.6, 1.5)
+        camera = self.view.scene.camera
+        away = np.array(camera.GetPosition()) - np.array(camera.GetFocalPoint())
+        return tuple(float(v) for v in away / np.linalg.norm(away))
+
+    def _camera_moved(self) -> None:
+        for one in self.also:
+            one.look_from(self._direction())
+
+    def _show_curves(self) -> None:
+        session, rounds = self.session, self.record.rounds
+        numbers = sorted(rounds)
+        of = self.record.planned
+        look = tokens(session.theme)
+        at = float(self._number()) if numbers else None
+        energies = [rounds[n].energy for n in numbers]
+        self.energy.set_theme(session.theme)
+        self.sigma.set_theme(session.theme)
+        self.energy.set_series([(numbers, energies, look["accent"])], of, at)
+        names = self.record.looks[0].part_names if self.record.looks else ()
+        inks = ["#{:02X}{:02X}{:02X}".format(*ink) for ink in part_colours(len(names))]
+        curves = [
+            (numbers, [100 * float(rounds[n].sigma[part]) for n in numbers], inks[part]) for part in range(len(names))
+        ]
+        self.sigma.set_series(curves, of, at)
+        self.energy_text.setText(self._energy_text())
+
+    def _energy_text(self) -> str:
+        number, rounds = self._number(), self.record.rounds
+        if number < 1:
+            return "The curve starts with the first round." if not rounds else ""
+        now, before = rounds.get(number), rounds.get(number - 1)
+        if now is None:
+            return "Of this round only the positions were recorded."
+        parts = []
+        if before is not None and np.isfinite(before.energy):
+            parts.append(f"This round {now.energy - before.energy:+.3f} nats.".replace("-", "−"))
+        else:
+            parts.append(f"{now.energy:.3f} nats.".replace("-", "−"))
+        if np.isfinite(now.change):
+            parts.append(f"Points moved {100 * now.change:.2f}% of size.")
+        if now.stop_reason:
+            parts.append(f"Stopped: {now.stop_reason}.")
+        return " ".join(parts)
+
+    def _show_parts(self) -> None:
+        clear(self.part_list)
+        name = self.session.shape or ""
+        self.parts_title.setText(f"Parts of {name}")
+        beliefs = self.record.beliefs(name) if self.record.looks else None
+        self._off: tuple[str, ...] = ()
+        self.note.setVisible(False)
+        if beliefs is None:
+            self.part_list.addWidget(label("Known after the first round.", "caption"))
+            return
+        names = self.record.looks[0].part_names
+        inks = part_colours(len(names))
+        sure = sureness(np.asarray(beliefs.segmentation, float))
+        for part, part_name in enumerate(names):
+            on = bool(beliefs.active[part])
+            swatch = Swatch("#{:02X}{:02X}{:02X}".format(*inks[part]))
+            swatch.setEnabled(on)
+            said = label(part_name, "" if on else "off")
+            if not on:
+                state = label("off", "off")
+            elif np.isnan(sure[part]):
+                state = label("no points", "warning")
+            else:
+                state = label(f"{100 * sure[part]:.0f}% sure", "text2" if sure[part] > 0.75 else "warning")
+            self.part_list.addWidget(framed(row(swatch, 4, said, None, state), "", height=30))
+        off = [part for part in range(len(names)) if not beliefs.active[part]]
+        if off:
+            part = off[0]
+            worth = float(beliefs.misfit[part])
+            self._off = self.record.off_elsewhere(part, name)
+            also = f" Also on {len(self._off)} other shapes." if self._off else ""
+            self.note_title.setText(f"{', '.join(names[p] for p in off)}: switched off")
+            reason = f"Explains the surface only {worth:.1f} nats a point better than the rest."
+            self.note_text.setText(f"{reason if np.isfinite(worth) else 'The rest explains the surface.'}{also}")
+            self.note_show.setText(f"Show the {min(len(self._off), WATCHED_AT_MOST)}")
+            self.note_show.setVisible(bool(self._off))
+            self.note.setVisible(True)
+
+    def _show_scrubber(self) -> None:
+        name, number = self.session.shape, self._number()
+        pictures: dict[int, QImage] = {}
+        for n in range(self.record.newest + 1):
+            points = self.record.points(name, n) if name else None
+            look = self._look(points.template) if points is not None else None
+            if look is None or len(look.label) != len(points.positions):
+                continue
+            stamp = (name, n)
+            if stamp not in self._pictures:
+                inks = point_colours(look, points, "part")
+                self._pictures[stamp] = draw_points(points.positions, inks, (76, 80), (1.0, 0.6, 1.5), 2)
+            pictures[n] = self._pictures[stamp]
+        self.scrubber.set_state(self.record.planned, self.record.newest, number, 0.0, pictures)
+
+    def _show_run(self) -> None:
+        if not self._here() or self.record is None:
+            return
+        session, progress = self.session, self.session.progress
+        mine = session.running and session.stage == "fit"
+        done = not session.running and self.actions.stage_status().get("fit")
+        finished = bool(done) and done.state == "done"
+        going_on = bool(done) and done.state == "partial"
+        words = "Resume" if mine and session.is_paused else "Pause" if mine else "Go on" if going_on else "Run"
+        self.run.setText(words if not finished else "Run again")
+        set_style(self.run, "kind", "" if finished else "primary")
+        set_icon(self.run, "pause" if mine and not session.is_paused else "play", "text_2" if finished else "on_accent")
+        self.next.setVisible(finished)
+        self.correct.setText(f"Correct {session.shape} by painting" if session.shape else "Correct by painting")
+        can, why = self._can_correct(session)
+        self.correct_text.setText("The next fit takes it as evidence." if can else why)
+        newest = self.record.newest
+        self.round_text.setText(f"Round {max(newest, 0)} of {self.record.planned}" if newest >= 0 else "Not fitted yet")
+        left = progress.seconds_left if mine and progress is not None else None
+        self.left_text.setText(f"· {duration(left)} left" if left is not None else "· paused" if session.is_paused else "")
+        self.phase_text.setText(self._phase(mine, finished))
+
+    def _phase(self, mine: bool, finished: bool) -> str:
+        session, progress = self.session, self.session.progress
+        if mine and progress is None:
+            return "starting…"
+        if mine:
+            if progress.phase == "faces":
+                return f"labelling faces, shape {progress.step} of {progress.of}"
+            if progress.phase == "fit" and progress.step == 0:
+                return "aligned; the first round is under way"
+            return f"round {progress.step + 1} is under way" if progress.phase == "fit" else progress.message
+        if session.status and session.status_kind in ("error", "warning"):
+            return session.status
+        return "done" if finished else self.actions.verdict("fit")[1] or session.status
+
+    # -- what the user does ----------------------------------------------------------------------------------------
+
+    def _can_correct(self, session: Session) -> tuple[bool, str]:
+        if session.shape is None:
+            return False, "Select a shape first."
+        if session.running:
+            return False, "Stop the fit first. It goes on from your correction."
+        return True, ""
+
+    def _correct(self, session: Session) -> None:
+        session.place = "paint"
+
+    def _watch_off(self) -> None:
+        self.session.watched = self._off[:WATCHED_AT_MOST]

@@ -1,0 +1,182 @@
+"""Pieces of the Fit place: little pictures of template points, and the scrubber over recorded rounds."""
+
+from __future__ import annotations
+
+import numpy as np
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
+from PySide6.QtGui import QColor, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
+from PySide6.QtWidgets import QWidget
+
+from shapeforge.viewer.fit_display import to_plane
+from shapeforge.viewer.palette import tokens
+from shapeforge.viewer.qt.theme import colours, font
+
+
+def draw_points(
+    positions: np.ndarray, point_colours: np.ndarray, size: tuple[int, int], direction: tuple[float, ...], dot: int = 2
+) -> QImage:
+    """A picture (device pixels) of points (n, 3) with colours (n, 3), far ones first; NaN rows are left out."""
+    width, height = size
+    picture = np.zeros((height, width, 4), np.uint8)
+    there = np.isfinite(positions).all(axis=1)
+    flat = to_plane(positions[there], direction)
+    inks = point_colours[there]
+    if len(flat):
+        low, high = flat[:, :2].min(axis=0), flat[:, :2].max(axis=0)
+        room = np.array([width - dot - 4, height - dot - 4])
+        scale = float((room / np.maximum(high - low, 1e-6)).min())
+        at = (flat[:, :2] - (low + high) / 2) * scale + np.array([width, height]) / 2 - dot / 2
+        order = np.argsort(flat[:, 2])
+        at, inks = np.round(at[order]).astype(int), inks[order]
+        for dy in range(dot):
+            for dx in range(dot):
+                x, y = np.clip(at[:, 0] + dx, 0, width - 1), np.clip(at[:, 1] + dy, 0, height - 1)
+                picture[y, x, :3] = inks
+                picture[y, x, 3] = 255
+    return QImage(picture.data, width, height, 4 * width, QImage.Format.Format_RGBA8888).copy()
+
+
+class PointPicture(QWidget):
+    """Template points of one shape, small, with its name and how far they moved."""
+
+    clicked = Signal(str)
+
+    def __init__(self, name: str, size: tuple[int, int]) -> None:
+        super().__init__()
+        self.name = name
+        self.caption, self.warn, self.current = "", False, False
+        self._points: tuple[np.ndarray, np.ndarray] | None = None
+        self._direction: tuple[float, ...] = (1.0, 0.6, 1.5)
+        self._image: QImage | None = None
+        self.setMinimumSize(*size)
+        self.setCursor(Qt.CursorShape.PointingHandCursor)
+        self.setAttribute(Qt.WidgetAttribute.WA_Hover)
+        self.setToolTip(f"Watch {name}")
+
+    def show_points(self, positions: np.ndarray | None, point_colours: np.ndarray | None) -> None:
+        """Show other points (None: none are known)."""
+        known = positions is not None and point_colours is not None
+        self._points = (positions, point_colours) if known else None
+        self._image = None
+        self.update()
+
+    def look_from(self, direction: tuple[float, ...]) -> None:
+        """Turn it."""
+        if direction != self._direction:
+            self._direction, self._image = direction, None
+            self.update()
+
+    def mouseReleaseEvent(self, event: QMouseEvent) -> None:  # noqa: N802
+        if event.button() == Qt.MouseButton.LeftButton and self.rect().contains(event.position().toPoint()):
+            self.clicked.emit(self.name)
+
+    def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802
+        look = colours(self)
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        if self.current or self.underMouse():
+            painter.setPen(QPen(QColor(look["accent" if self.current else "separator_strong"]), 1))
+            painter.drawRoundedRect(QRectF(self.rect()).adjusted(0.5, 0.5, -0.5, -0.5), 5, 5)
+        box = QRectF(4, 4, self.width() - 8, self.height() - 44)
+        ratio = self.devicePixelRatioF()
+        size = (max(round(box.width() * ratio), 8), max(round(box.height() * ratio), 8))
+        if self._points is not None:
+            if self._image is None or (self._image.width(), self._image.height()) != size:
+                self._image = draw_points(*self._points, size, self._direction, dot=max(round(1.6 * ratio), 2))
+            painter.drawImage(box, self._image)
+        else:
+            painter.setPen(QColor(look["text_off"]))
+            painter.setFont(font(11))
+            painter.drawText(box, Qt.AlignmentFlag.AlignCenter, "not fitted")
+        painter.setFont(font(11, 600))
+        painter.setPen(QColor(look["text"]))
+        words = painter.fontMetrics().elidedText(self.name, Qt.TextElideMode.ElideMiddle, self.width() - 8)
+        painter.drawText(QRectF(2, self.height() - 38, self.width() - 4, 17), Qt.AlignmentFlag.AlignCenter, words)
+        painter.setFont(font(11))
+        painter.setPen(QColor(look["warning" if self.warn else "text_2"]))
+        painter.drawText(QRectF(2, self.height() - 21, self.width() - 4, 16), Qt.AlignmentFlag.AlignCenter, self.caption)
+
+
+class Scrubber(QWidget):
+    """The rounds 0..of on a line: recorded ones are filled and can be looked at; a little picture above some."""
+
+    moved = Signal(int)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.setMinimumSize(320, 92)
+        self.of, self.recorded, self.at = 10, 0, 0
+        self.share = 0.0
+        self._pictures: dict[int, QImage] = {}
+        self.setToolTip("Drag to look back at a recorded round; the newest is at the right")
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        return QSize(700, 92)
+
+    def set_state(self, of: int, recorded: int, at: int, share: float, pictures: dict[int, QImage]) -> None:
+        """``recorded`` is the newest recorded round (-1: none), ``at`` the one looked at, ``share`` of the next done."""
+        self.of, self.recorded, self.at, self.share = max(of, 1), recorded, at, share
+        self._pictures = pictures
+        self.update()
+
+    def x_of(self, number: float) -> float:
+        """Where a round is, in pixels."""
+        return 26 + (self.width() - 52) * number / self.of
+
+    def _pick(self, x: float) -> None:
+        if self.recorded < 0:
+            return
+        number = round((x - 26) / (self.width() - 52) * self.of)
+        number = min(max(number, 0), self.recorded)
+        if number != self.at:
+            self.moved.emit(number)
+
+    def mousePressEvent(self, event: QMouseEvent) -> None:  # noqa: N802
+        self._pick(event.position().x())
+
+    def mouseMoveEvent(self, event: QMouseEvent) -> None:  # noqa: N802
+        if event.buttons() & Qt.MouseButton.LeftButton:
+            self._pick(event.position().x())
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
+        step = {Qt.Key.Key_Left: -1, Qt.Key.Key_Right: 1}.get(event.key())
+        if step is None:
+            super().keyPressEvent(event)
+        elif 0 <= self.at + step <= self.recorded:
+            self.moved.emit(self.at + step)
+
+    def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802
+        look = tokens(self.window().property("theme") or "dark")
+        painter = QPainter(self)
+        painter.setRenderHints(QPainter.RenderHint.Antialiasing | QPainter.RenderHint.SmoothPixmapTransform)
+        y = 60.0
+        accent, rest = QColor(look["accent"]), QColor(look["separator_strong"])
+        painter.setPen(QPen(rest, 4, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))
+        painter.drawLine(QPointF(self.x_of(0), y), QPointF(self.x_of(self.of), y))
+        if self.recorded >= 0:
+            done = min(self.recorded + self.share, self.of)
+            painter.setPen(QPen(accent, 4, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))
+            painter.drawLine(QPointF(self.x_of(0), y), QPointF(self.x_of(done), y))
+        step = (self.width() - 52) / self.of
+        every = max(1, int(np.ceil(26 / step)))
+        last_picture = -1e9
+        for number in range(self.of + 1):
+            x = self.x_of(number)
+            known = number <= self.recorded
+            here = known and number == self.at
+            painter.setPen(QPen(accent, 2) if here else Qt.PenStyle.NoPen)
+            painter.setBrush(QColor("#FFFFFF") if here else accent if known else rest)
+            painter.drawEllipse(QPointF(x, y), 5.0 if here else 4.0, 5.0 if here else 4.0)
+            if number % every == 0 or here:
+                painter.setFont(font(11, 600 if here else 400))
+                painter.setPen(QColor(look["text" if here else "text_2" if known else "text_off"]))
+                painter.drawText(QRectF(x - 16, y + 9, 32, 16), Qt.AlignmentFlag.AlignCenter, str(number))
+            picture = self._pictures.get(number)
+            if picture is not None and x - last_picture >= 40:
+                painter.drawImage(QRectF(x - 19, 10, 38, 40), picture)
+                last_picture = x
+        if self.hasFocus():
+            painter.setPen(QPen(QColor(look["accent"]), 1))
+            painter.setBrush(Qt.BrushStyle.NoBrush)
+            painter.drawRoundedRect(QRectF(self.rect()).adjusted(0.5, 0.5, -0.5, -0.5), 5, 5)
