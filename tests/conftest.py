@@ -15,7 +15,7 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 
 
 def checked_modules() -> list[str]:
-    """Every module by its full name, but packages: their names are prefixes of the compiled modules', which checks break."""
+    """Full names of all modules but packages, whose names are prefixes of the compiled modules', which checks break."""
     files = sorted((REPOSITORY / "shapeforge").rglob("*.py"))
     return [
         ".".join(file.relative_to(REPOSITORY).with_suffix("").parts)

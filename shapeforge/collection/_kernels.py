@@ -10,7 +10,7 @@ UNREACHED = np.float32(np.inf)
 
 @njit(cache=True, nogil=True)
 def cell_grid(points, size):
-    """Points sorted into cubes of edge ``size``: low corner (3,), cells per axis (3,), first of cell (n+1,), order (P,)."""
+    """Points sorted into cubes of edge ``size``: low corner, cells per axis, first of each cell (n+1,), order (P,)."""
     n = len(points)
     low = np.empty(3)
     shape = np.empty(3, np.int64)
@@ -108,8 +108,8 @@ def sift(heap, place, load, at, size):
 
 
 @njit(cache=True, nogil=True)
-def eliminate(rows, columns, weights, keep):
-    """Take the most crowded point away until ``keep`` are left (Yuksel 2015); True for those that stay."""
+def eliminate(rows, columns, weights, group, quota):
+    """Take the most crowded point away until ``quota[g]`` of each group g are left (Yuksel 2015); True for those."""
     n = len(rows) - 1
     load = np.zeros(n, np.float32)
     for i in range(n):
@@ -121,16 +121,22 @@ def eliminate(rows, columns, weights, keep):
         sift(heap, place, load, at, n)
     size = n
     stays = np.ones(n, np.bool_)
-    while size > keep:
+    left = np.bincount(group, minlength=len(quota))
+    while size > 0:
         top = heap[0]
         size -= 1
         heap[0] = heap[size]
         place[heap[0]] = 0
-        sift(heap, place, load, 0, size)
+        if size > 0:
+            sift(heap, place, load, 0, size)
+        place[top] = -1
+        if left[group[top]] == quota[group[top]]:
+            continue
+        left[group[top]] -= 1
         stays[top] = False
         for at in range(rows[top], rows[top + 1]):
             j = columns[at]
-            if stays[j]:
+            if place[j] >= 0:
                 load[j] -= weights[at]
                 sift(heap, place, load, place[j], size)
     return stays

@@ -96,7 +96,7 @@ def clip_ears(plane, out):
 
 @njit(cache=True, nogil=True)
 def cut_polygons(vertices, corners, counts):
-    """Triangles (N, 3) and the record of each (N,); a record of n >= 3 corners gives n-2, less those that repeat one."""
+    """Triangles (N, 3) and their records (N,); a record of n >= 3 corners gives n-2, less those that repeat one."""
     total = 0
     for count in counts:
         total += max(count - 2, 0)

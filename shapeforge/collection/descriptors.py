@@ -27,7 +27,7 @@ DESCRIPTOR_NAMES = (
     "width to length within .2",
     "thickness to length within .2",
 )
-RAYS_PER_SIDE = 30
+RAYS_PER_SIDE = 32
 CONE = np.deg2rad(60.0)  # half the opening angle, Shapira 2008, 3.1
 START = 1e-4  # rays begin this far (diagonals) off the surface, past faces drawn twice
 PCA_RADII = (0.05, 0.1, 0.2)  # shares of the diagonal
@@ -47,6 +47,9 @@ def describe(
     Everything is in normal coordinates (diagonals): the radii of the local PCA are shares of the diagonal.  ``normals``
     may point to either side.  ``neighbours20``: the nearest points of each point where known (``nearest_neighbours``).
     """
+    extent = float(np.ptp(points, axis=0).max())
+    if extent > 2:
+        raise ValueError(f"points: wanted normal coordinates (a diagonal of 1), got an extent of {extent:.4g}")
     if neighbours20 is None:
         neighbours20 = nearest_neighbours(points, 20)
     diameter, _ = shape_diameter(mesh, points, normals, triangle_of_point, neighbours20)
@@ -77,13 +80,15 @@ def shape_diameter(
     """Local thickness (P,) in diagonals (Shapira 2008), and the normals (P, 3) turned outward.
 
     Cones of rays go to *both* sides, since soup is wound at random.  Inside is the side where more of the cone meets
-    the mesh again, by the vote of the neighbours that face the same way; a tie leaves the normal as the file's majority
-    has it.  Where less than half of the inner cone meets anything the surface is a sheet, and its thickness fades to 0.
+    the mesh again, by the point's own vote and half a voice of its neighbours that face the same way; where both sides
+    are equal, the side that is inside for most of the shape.  Where less than half of the inner cone meets anything
+    the surface is a sheet, and its thickness fades to 0.
     """
     rays, weights = _cone()
-    # the frame turns with the mesh: its first axis is an edge of the point's triangle
-    edge = np.diff(mesh.vertices[mesh.triangles[triangle_of_point]], axis=1)
-    longest = np.take_along_axis(edge, np.argmax((edge**2).sum(axis=2), axis=1)[:, None, None], axis=1)[:, 0]
+    # the frame turns with the mesh: its first axis is the longest edge of the point's triangle
+    corners = mesh.vertices[mesh.triangles[triangle_of_point]]
+    edges = corners - np.roll(corners, 1, axis=1)
+    longest = np.take_along_axis(edges, np.argmax((edges**2).sum(axis=2), axis=1)[:, None, None], axis=1)[:, 0]
     side = longest - (longest * normals).sum(axis=1, keepdims=True) * normals
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-300)
     across = np.cross(normals, side)
@@ -97,8 +102,9 @@ def shape_diameter(
 
     vote = share[:, 0] - share[:, 1]
     vote = vote + 0.05 * (np.sign(vote.sum()) or 1.0)
+    # half a voice for the neighbours: in soup, those that face the same way may be the far side of a thin part
     same = _agreement(normals, neighbours) > 0.5
-    vote = vote + (same * vote[neighbours]).sum(axis=1)
+    vote = vote + 0.5 * (same * vote[neighbours]).sum(axis=1) / np.maximum(same.sum(axis=1), 1)
     inside = np.where(vote >= 0, 0, 1)
     outward = np.where(vote >= 0, 1.0, -1.0)[:, None] * normals
     every = np.arange(len(points))
@@ -158,15 +164,21 @@ def local_shape(points: Float[np.ndarray, "P 3"], radii: tuple[float, ...] = PCA
 
 
 def _cone() -> tuple[np.ndarray, np.ndarray]:
-    """Unit directions (R, 3) about +z spread evenly over the cone (a golden spiral), and weights 1/angle (R,)."""
-    step = (np.arange(RAYS_PER_SIDE) + 0.5) / RAYS_PER_SIDE
+    """Unit directions (R, 3) about +z spread evenly over the cone, and weights 1/angle (R,).
+
+    A golden spiral over one quarter, mirrored into the others: so the rays are the same whichever way x, y and the
+    triangle's winding run.
+    """
+    n = RAYS_PER_SIDE // 4
+    step = (np.arange(n) + 0.5) / n
     height = 1 - step * (1 - np.cos(CONE))
-    turn = np.arange(RAYS_PER_SIDE) * np.pi * (3 - np.sqrt(5))
+    turn = np.pi / 2 * ((np.arange(n) + 0.5) * (np.sqrt(5) - 1) / 2 % 1)
     radius = np.sqrt(1 - height**2)
-    return np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1), 1 / np.arccos(height)
+    quarter = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
+    mirrors = np.array([[1, 1, 1], [-1, 1, 1], [1, -1, 1], [-1, -1, 1]])
+    return (mirrors[:, None] * quarter).reshape(-1, 3), np.tile(1 / np.arccos(height), 4)
 
 
 def _agreement(normals: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
     """Cosine (P, n) between each point's normal and its neighbours'."""
     return np.einsum("pd,pnd->pn", normals, normals[neighbours])
-

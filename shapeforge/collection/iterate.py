@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable
 from typing import TypeVar
 
@@ -10,9 +11,7 @@ State = TypeVar("State")
 
 def last(states: Iterable[State]) -> State:
     """The last state of an algorithm.  Raises ValueError where there is none."""
-    found = False
-    for state in states:
-        found = True
-    if not found:
+    kept = deque(states, maxlen=1)
+    if not kept:
         raise ValueError("states: wanted at least one, got none (was the iterator used up before?)")
-    return state
+    return kept[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from shapeforge.collection.mesh_files import write_atomically
 UNLABELLED = -1
 LABELS_FILE = "labels.json"
 LARGEST_ID = 2**31 - 1
+INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
 
 
 class LabelError(ValueError):
@@ -137,15 +139,12 @@ def find_part_names(folder: str | Path) -> PartNames:
 
 def _read_ids(path: Path) -> np.ndarray:
     """The integers (F,) of a ``.seg`` file; blank lines do not count."""
-    words = _read_text(path).split("\n")
-    try:
-        return np.array([int(word) for word in words if word and not word.isspace()], np.int64)
-    except (ValueError, OverflowError):
-        for number, word in enumerate(words, 1):
-            text = word.strip()
-            if text and not (text.lstrip("+-").isdigit() and len(text) < 19):
-                raise LabelError(path, "one integer per line", f"{text[:40]!r} in line {number}") from None
-        raise
+    words = [word.strip() for word in _read_text(path).split("\n")]
+    # int() alone would take 1_0 and the digits of other scripts
+    wrong = next((i for i, word in enumerate(words) if word and not INTEGER.fullmatch(word)), None)
+    if wrong is not None:
+        raise LabelError(path, "one integer per line", f"{words[wrong][:40]!r} in line {wrong + 1}")
+    return np.array([int(word) for word in words if word], np.int64)
 
 
 def _read_text(path: Path) -> str:

@@ -163,7 +163,8 @@ def find_meshes(paths: Iterable[str | Path]) -> list[tuple[str, Path]]:
     if not files:
         where = ", ".join(str(p) for p in asked) or "nothing"
         known = ", ".join(e[1:] for e in MESH_ENDINGS)
-        raise MeshError(asked[0] if asked else Path("."), f"no mesh files in {where}", f"Endings that are read: {known}")
+        first = asked[0] if asked else Path(".")
+        raise MeshError(first, f"no mesh files in {where}", f"Endings that are read: {known}")
     shared = os.path.commonpath([os.path.abspath(p if p.is_dir() else p.parent) for p in asked])
     names = _distinct_names([Path(os.path.relpath(os.path.abspath(file), shared)) for file in files.values()])
     return sorted(zip(names, files.values(), strict=True), key=lambda pair: pair[0])

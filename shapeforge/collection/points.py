@@ -10,6 +10,7 @@ from shapeforge.collection import _kernels as kernels
 from shapeforge.collection.shape import Mesh
 
 CANDIDATES_PER_POINT = 3
+QUOTA = 16  # points kept of as many candidates in a row, which lie on neighbouring triangles of the file
 
 
 def sample_points(
@@ -50,7 +51,10 @@ def _spread_out(points: np.ndarray, normals: np.ndarray, n_points: int, area: fl
     # a needle of large extent and no area would ask for more cells than there is memory
     radius = max(radius, np.ptp(points, axis=0).max() / 200)
     scaled = (points - points.min(axis=0)) / radius
-    return kernels.eliminate(*kernels.crowding_pairs(scaled, normals, 1.0), n_points)
+    # without quotas, surfaces that lie close above each other would count as one and lose half their points
+    group = np.arange(len(points)) // (CANDIDATES_PER_POINT * QUOTA)
+    quota = np.bincount(group) // CANDIDATES_PER_POINT
+    return kernels.eliminate(*kernels.crowding_pairs(scaled, normals, 1.0), group, quota)
 
 
 def nearest_neighbours(points: Float[np.ndarray, "P 3"], k: int) -> Int[np.ndarray, "P k"]:

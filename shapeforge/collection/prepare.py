@@ -1,4 +1,4 @@
-"""From a mesh to a shape that the model can work with: turned, scaled, sampled, described, cut into patches (§3, §4)."""
+"""From a mesh to a shape for the model: turned, scaled, sampled, described, cut into patches (§3, §4)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ from shapeforge.collection.points import nearest_neighbours, sample_points
 from shapeforge.collection.shape import Frame, Mesh, Shape
 
 
-def prepare_shape(
-    name: str, mesh: Mesh, *, n_points: int = 5000, up: str = "auto", rng: np.random.Generator
-) -> Shape:
+def prepare_shape(name: str, mesh: Mesh, *, n_points: int = 5000, up: str = "auto", rng: np.random.Generator) -> Shape:
     """A shape in normal coordinates (y up, bounding box centred with diagonal 1), with the frame back to the file's.
 
     ``up`` is passed to ``orient``.  Deterministic in (mesh, state of ``rng``).  ``notes`` of the shape tell how it was

@@ -94,7 +94,7 @@ class Shape:
 
     ``face_of_point`` is a face record (as labels are), ``triangle_of_point`` a row of ``mesh.triangles``;
     ``neighbours`` holds point indices inside the same patch, -1 where the patch is smaller; ``normals`` point outward
-    as far as rays can tell, however the file winds its faces; ``notes`` says what was odd about the file, a sentence each.
+    as far as rays can tell, however the file winds its faces; ``notes`` says what was odd about the file.
     """
 
     name: str
