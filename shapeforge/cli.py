@@ -88,7 +88,7 @@ def follow(project: Any, steps: Iterator[Any], what: str) -> Any:
                     line, completed=latest.step, total=max(latest.of, 1), stage=latest.stage, phase=latest.phase,
                     description=escaped(latest.message + left),
                 )  # fmt: skip
-                if not console.is_terminal and latest.phase in ("fit", "alternate") and latest.message:
+                if not console.is_terminal and latest.stage in ("fit", "refine") and latest.phase != "faces":
                     console.print(f"  {latest.message}", markup=False)
     except KeyboardInterrupt:
         project.log(f"{what}: stopped from the keyboard")

@@ -207,7 +207,7 @@ def refine(task: Task) -> Iterator[Progress]:
         state, machine = project.fit(), project.machine()
         positions = stacked_positions(project, names)
     while number < of:
-        prior = _prior(machine, positions, hierarchy)
+        prior = _prior(machine, positions, hierarchy, state.templates)
         rounds = state.round + ROUNDS_PER_ALTERNATION
         states = fit_templates(
             project.shapes, project.groups, labels, part_names, rounds=rounds, rng=np.random.default_rng(number),
@@ -243,7 +243,9 @@ def _result(project: Project, stage: str) -> str | None:
     return (project.stage_record(stage) or {}).get("result")
 
 
-def _prior(machine: Any, positions: np.ndarray, hierarchy: Any) -> Callable[[int, int], Any]:
+def _prior(
+    machine: Any, positions: np.ndarray, hierarchy: Any, templates: Sequence[Any]
+) -> Callable[[int, int], tuple[np.ndarray, np.ndarray]]:
     """The machine's opinion on every shape's corresponding points, handed down to the templates of its group."""
     from shapeforge.generative.joint import shape_prior
 
@@ -253,7 +255,7 @@ def _prior(machine: Any, positions: np.ndarray, hierarchy: Any) -> Callable[[int
         if t not in found:
             found.clear()  # asked shape by shape: the one at hand is enough
             found[t] = shape_prior(machine, positions[t])
-        return on_template(*found[t], hierarchy.links[g], int(hierarchy.links[g].index.max(initial=0)) + 1)
+        return on_template(*found[t], hierarchy.links[g], templates[g].n_points)
 
     return prior
 
