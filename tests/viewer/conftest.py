@@ -1,0 +1,96 @@
+"""A small generated family as a project, imported and grouped or fitted, and the real window on it."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from shapeforge import stages
+from shapeforge.collection.families import write_family
+from shapeforge.collection.labels import find_part_names, read_seg
+from shapeforge.store import Project
+
+COUNT, POINTS, ROUNDS = 8, 300, 2
+
+
+def run_stage(project: Project, stage: str, **options: object) -> None:
+    for _ in stages.run(project, stage, jobs=1, **options):
+        pass
+
+
+@pytest.fixture(scope="session")
+def meshes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight generated chairs with their labels, and one file that cannot be read."""
+    folder = tmp_path_factory.mktemp("meshes")
+    write_family(folder, "chairs", COUNT, seed=3)
+    (folder / "empty.obj").write_text("v 0 0 0\n")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def _grouped(tmp_path_factory: pytest.TempPathFactory, meshes: Path) -> Path:
+    folder = tmp_path_factory.mktemp("grouped") / "chairs"
+    project = Project.create(folder)
+    run_stage(project, "import", meshes=[meshes], points=POINTS)
+    run_stage(project, "group")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def _fitted(tmp_path_factory: pytest.TempPathFactory, meshes: Path, _grouped: Path) -> Path:
+    folder = tmp_path_factory.mktemp("fitted") / "chairs"
+    shutil.copytree(_grouped, folder)
+    project = Project.open(folder)
+    paint_exemplars(project, meshes)
+    run_stage(project, "fit", rounds=ROUNDS)
+    return folder
+
+
+def paint_exemplars(project: Project, meshes: Path) -> None:
+    """Label every exemplar with the truth."""
+    names = find_part_names(meshes)
+    project.set_part_names(names)
+    for t in project.groups.exemplars:
+        name = project.names[t]
+        project.set_labels(name, read_seg(meshes / f"{name}.seg", project.shape_record(name)["n_faces"], names))
+
+
+@pytest.fixture
+def grouped(_grouped: Path, tmp_path: Path) -> Project:
+    """A project of its own: eight chairs imported and grouped, nothing painted."""
+    shutil.copytree(_grouped, tmp_path / "chairs")
+    return Project.open(tmp_path / "chairs")
+
+
+@pytest.fixture
+def fitted(_fitted: Path, tmp_path: Path) -> Project:
+    """A project of its own: exemplars labelled with the truth, fitted for two rounds."""
+    shutil.copytree(_fitted, tmp_path / "chairs")
+    return Project.open(tmp_path / "chairs")
+
+
+@pytest.fixture
+def open_window(qtbot) -> Iterator[Callable]:
+    """``open_window(project)`` shows the real window, 1440 x 900; it is closed, and its thread ended, afterwards."""
+    from shapeforge.viewer.qt.window import Window
+
+    opened = []
+
+    def make(project: Project | None = None, place: str = "collection") -> Window:
+        window = Window()
+        opened.append(window)
+        if project is not None:
+            window.session.open(project)
+            window.session.place = place
+        window.show()
+        qtbot.waitExposed(window)
+        return window
+
+    yield make
+    for window in opened:
+        window.close()
+        assert not window.runner.running, "a closed window leaves no thread"
+        window.deleteLater()
