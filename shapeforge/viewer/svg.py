@@ -1,0 +1,145 @@
+"""Small plots as inline SVG text.  Colours are the page's CSS variables, so one plot serves light and dark."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+
+LEFT, RIGHT, TOP, BOTTOM = 64, 16, 14, 42
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One line of a plot: values at the plot's places, NaN where there is none; ``colour`` is any CSS colour."""
+
+    name: str
+    values: Sequence[float] | np.ndarray
+    colour: str = "var(--accent)"
+
+
+def curve(
+    at: Sequence[float] | np.ndarray,
+    series: Sequence[Series],
+    *,
+    x_label: str,
+    y_label: str,
+    title: str,
+    width: int = 560,
+    height: int = 240,
+) -> str:
+    """Lines over ``at`` with ticks, axis labels (units belong into them) and, for more than one line, their names."""
+    x = np.asarray(at, dtype=float)
+    lines = [np.asarray(one.values, dtype=float) for one in series]
+    if not lines or any(len(line) != len(x) for line in lines):
+        raise ValueError(f"series: wanted lines of {len(x)} values, got {[len(line) for line in lines]}")
+    known = np.concatenate([line[np.isfinite(line)] for line in lines])
+    if not len(known):
+        return ""
+    ticks = nice_ticks(float(known.min()), float(known.max()))
+    low, high = ticks[0], ticks[-1]
+    x_low, x_high = float(x.min()), float(x.max()) if x.max() > x.min() else float(x.min()) + 1
+    inner = (width - LEFT - RIGHT, height - TOP - BOTTOM)
+
+    def place(a: float, b: float) -> tuple[float, float]:
+        across = LEFT + (a - x_low) / (x_high - x_low) * inner[0]
+        return round(across, 1), round(TOP + (high - b) / (high - low) * inner[1], 1)
+
+    parts = [_start(title, width, height)]
+    for tick in ticks:
+        _, y = place(x_low, tick)
+        parts.append(f'<line class="grid" x1="{LEFT}" x2="{width - RIGHT}" y1="{y}" y2="{y}"/>')
+        parts.append(f'<text class="tick" x="{LEFT - 8}" y="{y + 4}" text-anchor="end">{number(tick)}</text>')
+    for tick in _whole_ticks(x_low, x_high):
+        across, _ = place(tick, low)
+        parts.append(f'<text class="tick" x="{across}" y="{height - BOTTOM + 18}" text-anchor="middle">{number(tick)}</text>')
+    for one, line in zip(series, lines, strict=True):
+        there = np.isfinite(line)
+        points = [place(a, b) for a, b in zip(x[there], line[there], strict=True)]
+        path = " ".join(f"{a},{b}" for a, b in points)
+        parts.append(f'<polyline points="{path}" fill="none" stroke="{one.colour}" stroke-width="2"/>')
+        if len(points) <= 40:
+            parts += [f'<circle cx="{a}" cy="{b}" r="2.6" fill="{one.colour}"/>' for a, b in points]
+    parts.append(
+        f'<text class="label" x="{LEFT + inner[0] / 2}" y="{height - 6}" text-anchor="middle">{escape(x_label)}</text>'
+    )
+    middle = TOP + inner[1] / 2
+    parts.append(
+        f'<text class="label" x="14" y="{middle}" text-anchor="middle" transform="rotate(-90 14 {middle})">'
+        f"{escape(y_label)}</text>"
+    )
+    if len(series) > 1:
+        across = width - RIGHT
+        for one in reversed(series):
+            across -= 7 * len(one.name) + 24
+            parts.append(f'<circle cx="{across}" cy="{TOP + 4}" r="4" fill="{one.colour}"/>')
+            parts.append(f'<text class="tick" x="{across + 8}" y="{TOP + 8}">{escape(one.name)}</text>')
+    return "".join(parts) + "</svg>"
+
+
+def histogram(
+    counts: Sequence[float] | np.ndarray, edges: Sequence[float] | np.ndarray, *, title: str, width: int = 200,
+    height: int = 44,
+) -> str:  # fmt: skip
+    """Bars between ``edges`` without axes, for under a slider; zero is marked when it is in the range."""
+    counts, edges = np.asarray(counts, dtype=float), np.asarray(edges, dtype=float)
+    if len(edges) != len(counts) + 1:
+        raise ValueError(f"edges: wanted {len(counts) + 1} edges for {len(counts)} bars, got {len(edges)}")
+    parts = [_start(title, width, height)]
+    span = max(float(edges[-1] - edges[0]), 1e-12)
+    top = max(float(counts.max(initial=0)), 1e-12)
+    for count, a, b in zip(counts, edges[:-1], edges[1:], strict=True):
+        x0, x1 = (a - edges[0]) / span * width, (b - edges[0]) / span * width
+        tall = count / top * (height - 4)
+        parts.append(
+            f'<rect x="{x0 + 0.5:.1f}" y="{height - tall:.1f}" width="{max(x1 - x0 - 1, 0.5):.1f}" height="{tall:.1f}" '
+            'fill="var(--bar)"/>'
+        )
+    if edges[0] < 0 < edges[-1]:
+        zero = -edges[0] / span * width
+        parts.append(f'<line x1="{zero:.1f}" x2="{zero:.1f}" y1="0" y2="{height}" stroke="var(--accent)"/>')
+    return "".join(parts) + "</svg>"
+
+
+def shares(values: Sequence[float], names: Sequence[str], colours: Sequence[str], *, title: str, width: int = 200) -> str:
+    """One bar cut into coloured shares (they are scaled to fill it)."""
+    total = max(float(np.sum(values)), 1e-12)
+    parts, x = [_start(title, width, 8)], 0.0
+    for value, name, colour in zip(values, names, colours, strict=True):
+        wide = float(value) / total * width
+        parts.append(f'<rect x="{x:.1f}" y="0" width="{wide:.1f}" height="8" fill="{colour}"><title>')
+        parts.append(f"{escape(name)} {100 * float(value) / total:.0f} %</title></rect>")
+        x += wide
+    return "".join(parts) + "</svg>"
+
+
+def nice_ticks(low: float, high: float, most: int = 6) -> list[float]:
+    """Round numbers around [low, high], at most ``most`` + 1 of them, the first and last outside or on the ends."""
+    if high <= low:
+        room = max(abs(low), 1.0) * 0.5
+        low, high = low - room, high + room
+    rough = (high - low) / most
+    power = 10.0 ** np.floor(np.log10(rough))
+    step = next(power * m for m in (1, 2, 2.5, 5, 10) if power * m >= rough * (1 - 1e-9))
+    first, last = np.floor(low / step + 1e-9), np.ceil(high / step - 1e-9)
+    return [float(round(k * step, 12)) for k in range(int(first), int(last) + 1)]
+
+
+def _whole_ticks(low: float, high: float) -> list[float]:
+    step = max(1, int(np.ceil((high - low) / 10)))
+    return [float(k) for k in range(int(np.ceil(low)), int(high) + 1, step)]
+
+
+def number(value: float) -> str:
+    """A number as people write it: no trailing zeros, a true minus sign."""
+    text = f"{value:.4g}"
+    return text.replace("-", "\N{MINUS SIGN}") if "e" not in text else text
+
+
+def _start(title: str, width: int, height: int) -> str:
+    return (
+        f'<svg viewBox="0 0 {width} {height}" width="{width}" height="{height}" role="img" '
+        f'aria-label="{escape(title, quote=True)}"><title>{escape(title)}</title>'
+    )
