@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
 from shapeforge.viewer.session import PLACES, Session
@@ -27,6 +27,7 @@ PLACE_NAMES: dict[str, str] = {
 MESH_ENDINGS: tuple[str, ...] = ("obj", "off", "ply", "stl", "glb", "gltf")
 
 
+@runtime_checkable
 class Desk(Protocol):
     """What actions ask of whoever shows them.  Every ``choose`` returns None (or nothing) when the user thinks again."""
 

@@ -72,7 +72,8 @@ PARTS: tuple[str, ...] = (
     "#3C6E71",
 )
 GROUPS: tuple[str, ...] = ("#9DB4E0", "#D9A8BF", "#D8C08A", "#B3CB95", "#8FC9CB", "#C2AEE0", "#E0AE94", "#A9C4B4")
-HEAT: tuple[str, ...] = ("#D3D6DC", "#F5DDAE", "#F0934A", "#CF3B1E", "#7D0A12")
+# The second stop is darker than the first, so that lightness falls all the way and heat reads in grey, too.
+HEAT: tuple[str, ...] = ("#D3D6DC", "#EDCB93", "#F0934A", "#CF3B1E", "#7D0A12")
 UNPAINTED = "#B4B7BD"
 SWITCHED_OFF = "#7A7E88"
 

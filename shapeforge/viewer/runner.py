@@ -204,7 +204,7 @@ def deliver(news: News, session: Session) -> None:
         session.say(said or f"{stage} is done in {duration(news.seconds)}", "ok")
 
 
-def duration(seconds: float) -> str:
+def duration(seconds: float | int) -> str:
     """A length of time in words: "6 s", "2 min", "1 h 20 min"."""
     if seconds < 90:
         return f"{max(round(seconds), 1)} s"

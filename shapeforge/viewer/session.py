@@ -6,7 +6,7 @@ import operator
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 from psygnal import Signal, SignalGroupDescriptor
 
@@ -14,6 +14,7 @@ PLACES: tuple[str, ...] = ("collection", "paint", "fit", "correspondence", "synt
 TOOLS: tuple[str, ...] = ("brush", "eraser", "fill", "piece", "lasso", "scribble", "eyedropper")
 
 
+@runtime_checkable
 class UndoHistory(Protocol):
     """What Undo and Redo need of whatever remembers edits: the session's own list, or the painting of one shape."""
 
@@ -85,12 +86,9 @@ class Session:
     """
 
     # Compared by identity: comparing their arrays would be slow and ambiguous.
-    __eq_operators__: ClassVar[dict[str, Any]] = {
-        "project": operator.is_,
-        "progress": operator.is_,
-        "history": operator.is_,
-    }
-    events: ClassVar[SignalGroupDescriptor] = SignalGroupDescriptor()
+    events: ClassVar[SignalGroupDescriptor] = SignalGroupDescriptor(
+        equality_operators={"project": operator.is_, "progress": operator.is_, "history": operator.is_}
+    )
     # Data of the project changed: "shapes", "groups", "labels", "fit", "machine" or "draws".
     data_changed: ClassVar[Signal] = Signal(str)
 

@@ -455,7 +455,7 @@ class FitPlace:
     def _energy_text(self) -> str:
         number, rounds = self._number(), self.record.rounds
         if number < 1:
-            return "The curve starts with the first round." if not rounds else ""
+            return "The curve starts with the first round."
         now, before = rounds.get(number), rounds.get(number - 1)
         if now is None:
             return "Of this round only the positions were recorded."
@@ -477,7 +477,7 @@ class FitPlace:
         beliefs = self.record.beliefs(name) if self.record.looks else None
         self._off: tuple[str, ...] = ()
         self.note.setVisible(False)
-        if beliefs is None:
+        if beliefs is None or self.record.newest < 1:
             self.part_list.addWidget(label("Known after the first round.", "caption"))
             return
         names = self.record.looks[0].part_names

@@ -85,7 +85,7 @@ class Curves(QWidget):
         ticks = nice_ticks(low, high)
         for tick in ticks:
             item.addItem(pg.InfiniteLine(tick, angle=0, pen=line))
-        item.getAxis("left").setTicks([[(tick, f"{tick:g}") for tick in ticks]])
+        item.getAxis("left").setTicks([[(tick, f"{tick:g}" if len(flat) else "") for tick in ticks]])
         step = max(1, int(np.ceil(self._last / 5)))
         item.getAxis("bottom").setTicks([[(i, str(i)) for i in range(0, self._last + 1, step)]])
         margin = 0.04 * (ticks[-1] - ticks[0])

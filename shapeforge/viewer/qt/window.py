@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from PySide6.QtCore import QObject, Qt, Signal
 from PySide6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent, QKeySequence
@@ -43,6 +43,7 @@ _CLASSES = {
 }
 
 
+@runtime_checkable
 class Place(Protocol):
     """One place: what it puts into the four pieces of the frame, and what it does when it is entered and left."""
 
