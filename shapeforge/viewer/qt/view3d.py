@@ -113,6 +113,11 @@ class View3D(QWidget):
         self._user_camera = False
         self._fit_now()
 
+    def fit_again(self) -> None:
+        """Fit what is shown now, unless the user has placed the camera."""
+        if not self._user_camera:
+            self._fit_now()
+
     def _fit_now(self) -> None:
         views = [
             np.concatenate([

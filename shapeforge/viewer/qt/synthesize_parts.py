@@ -1,0 +1,200 @@
+"""Pieces of the Synthesize place: one direction with its slider, the map of the family, the bar between A and B."""
+
+from __future__ import annotations
+
+import numpy as np
+from PySide6.QtCore import QEvent, QPointF, QRectF, Qt, Signal
+from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPen
+from PySide6.QtWidgets import QFrame, QSlider, QWidget
+
+from shapeforge.viewer.palette import group_colours
+from shapeforge.viewer.qt.bars import RangeSlider
+from shapeforge.viewer.qt.icons import set_icon
+from shapeforge.viewer.qt.theme import colours, font
+from shapeforge.viewer.qt.widgets import Choice, ElidedLabel, Picture, button, column, label, row
+
+AB_STEPS = 100
+
+
+class DirectionRow(QFrame):
+    """Name, value, slider over its histogram, lock, and what it moves."""
+
+    moved = Signal(float)
+    released = Signal()
+    locked = Signal(bool)
+    entered = Signal()
+    left = Signal()
+
+    def __init__(self, name: str, caption: str, low: float, high: float, histogram: np.ndarray, edges: np.ndarray) -> None:
+        super().__init__()
+        self.setObjectName("row")
+        self.slider = RangeSlider(low, high, histogram, edges)
+        self.slider.setAccessibleName(name)
+        self.slider.setToolTip(
+            "Bars: the shapes of the family. Double-click resets, the lock keeps the value, arrow keys move it."
+        )
+        self.name, self.value = ElidedLabel(name, "strong"), label("0.0", "text2")
+        self.lock = button(icon="unlock", kind="icon", tooltip="Keep this value when another shape is drawn", checkable=True)
+        self.lock.setStyleSheet("min-width: 22px; max-width: 22px; min-height: 22px; max-height: 22px;")
+        self.lock.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.lock.toggled.connect(self._lock)
+        top = row(self.name, self.value, spacing=6)
+        top.setStretch(0, 1)
+        middle = row(self.slider, self.lock, spacing=4)
+        middle.setStretch(0, 1)
+        middle.setAlignment(self.lock, Qt.AlignmentFlag.AlignBottom)
+        self.setLayout(column(top, middle, ElidedLabel(caption, "caption"), spacing=1, margins=(16, 6, 16, 6)))
+        self.slider.moved.connect(self.moved)
+        self.slider.released.connect(self.released)
+        self.setFixedHeight(90)
+
+    def _lock(self, on: bool) -> None:
+        self.slider.set_locked(on)
+        set_icon(self.lock, "lock" if on else "unlock", "accent_text" if on else "text_off", 14)
+        self.locked.emit(on)
+
+    def set_value(self, value: float) -> None:
+        """Show a value in standard deviations."""
+        self.slider.set_value(value)
+        self.value.setText("0" if abs(value) < 0.05 else f"{value:+.1f}".replace("-", "−"))
+
+    def enterEvent(self, event: QEvent) -> None:  # noqa: N802
+        self.entered.emit()
+
+    def leaveEvent(self, event: QEvent) -> None:  # noqa: N802
+        self.left.emit()
+
+
+class FamilyMap(QWidget):
+    """The shapes of the family as dots in their groups' colours; where the shape in hand lies; click goes to a shape."""
+
+    chosen = Signal(int)
+
+    def __init__(self, height: int = 150) -> None:
+        super().__init__()
+        self.setFixedHeight(height)
+        self.setMouseTracking(True)
+        self.setCursor(Qt.CursorShape.PointingHandCursor)
+        self._places = np.zeros((0, 2))
+        self._group = np.zeros(0, int)
+        self._names: tuple[str, ...] = ()
+        self.here: tuple[float, float] | None = None
+        self.ends: tuple[int, int] | None = None
+
+    def set_family(self, places: np.ndarray, group: np.ndarray, names: tuple[str, ...]) -> None:
+        """Places (T, 2) on the map, group (T,) and names of the shapes."""
+        self._places, self._group, self._names = np.asarray(places, float), np.asarray(group, int), names
+        self.update()
+
+    def set_here(self, here: tuple[float, float] | None, ends: tuple[int, int] | None = None) -> None:
+        """Where the shape in hand lies; ``ends`` are the shapes A and B when it is between two."""
+        self.here, self.ends = here, ends
+        self.update()
+
+    def _to_pixels(self, places: np.ndarray) -> np.ndarray:
+        if not len(self._places):
+            return places
+        low, high = self._places.min(axis=0), self._places.max(axis=0)
+        size = np.array([self.width() - 44, self.height() - 40])
+        scale = float((size / np.maximum(high - low, 1e-9)).min())
+        middle = np.array([self.width(), self.height()]) / 2
+        return middle + (places - (low + high) / 2) * [scale, -scale]
+
+    def dot(self, index: int) -> tuple[float, float]:
+        """Pixel place of a shape's dot."""
+        x, y = self._to_pixels(self._places)[index]
+        return float(x), float(y)
+
+    def paintEvent(self, event: QEvent) -> None:  # noqa: N802
+        tokens = colours(self)
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(QColor(tokens["view"]))
+        painter.drawRoundedRect(QRectF(self.rect()), 5, 5)
+        palette = group_colours(int(self._group.max(initial=0)) + 1)
+        pixels = self._to_pixels(self._places)
+        for (x, y), g in zip(pixels, self._group, strict=True):
+            painter.setBrush(QColor(*palette[g].tolist()) if g >= 0 else QColor(tokens["text_off"]))
+            painter.drawEllipse(QPointF(x, y), 2.6, 2.6)
+        if self.ends is not None:
+            (ax, ay), (bx, by) = pixels[list(self.ends)]
+            pen = QPen(QColor(tokens["text_2"]), 1, Qt.PenStyle.DashLine)
+            painter.setPen(pen)
+            painter.drawLine(QPointF(ax, ay), QPointF(bx, by))
+            painter.setFont(font(11, 600))
+            for x, y, name in ((ax, ay, "A"), (bx, by, "B")):
+                painter.setPen(QPen(QColor(tokens["text"]), 1.6))
+                painter.setBrush(QColor(tokens["view"]))
+                painter.drawEllipse(QPointF(x, y), 4, 4)
+                painter.drawText(QPointF(x + 8, y + 4), name)
+        if self.here is not None and len(self._places):
+            x, y = self._to_pixels(np.array(self.here))
+            painter.setPen(QPen(QColor("#FFFFFF"), 1.6))
+            painter.setBrush(QColor(tokens["accent"]))
+            painter.drawEllipse(QPointF(x, y), 5, 5)
+            painter.setPen(QColor(tokens["text"]))
+            painter.setFont(font(11, 600))
+            left = min(max(x - 50, 2), self.width() - 102)
+            painter.drawText(QRectF(left, y - 22 if y > 26 else y + 8, 100, 14), Qt.AlignmentFlag.AlignCenter, "you are here")
+        painter.end()
+
+    def _at(self, event: QMouseEvent) -> int | None:
+        if not len(self._places):
+            return None
+        here = np.array([event.position().x(), event.position().y()])
+        away = np.linalg.norm(self._to_pixels(self._places) - here, axis=1)
+        return int(away.argmin()) if away.min() < 14 else None
+
+    def mouseMoveEvent(self, event: QMouseEvent) -> None:  # noqa: N802
+        index = self._at(event)
+        self.setToolTip("" if index is None else self._names[index])
+
+    def mouseReleaseEvent(self, event: QMouseEvent) -> None:  # noqa: N802
+        index = self._at(event)
+        if index is not None:
+            self.chosen.emit(index)
+
+
+class BetweenBar(QFrame):
+    """A at the left, B at the right, and how far from one to the other."""
+
+    moved = Signal(float)
+    released = Signal()
+    ends_chosen = Signal(str, str)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setObjectName("bar")
+        self.setFixedHeight(56)
+        self.pictures = (Picture((44, 44)), Picture((44, 44)))
+        self.choices = (Choice("A", (), ""), Choice("B", (), ""))
+        self.choices[0].chosen.connect(lambda name: self.ends_chosen.emit(name, self.ends[1]))
+        self.choices[1].chosen.connect(lambda name: self.ends_chosen.emit(self.ends[0], name))
+        self.ends: tuple[str, str] = ("", "")
+        self.slider = QSlider(Qt.Orientation.Horizontal)
+        self.slider.setRange(0, AB_STEPS)
+        self.slider.setAccessibleName("Between A and B")
+        self.slider.valueChanged.connect(lambda value: self.moved.emit(value / AB_STEPS))
+        self.slider.sliderReleased.connect(self.released)
+        self.value = label("50%", "strong")
+        self.value.setFixedWidth(40)
+        swap = button(icon="swap", kind="tool", tooltip="Exchange A and B")
+        swap.clicked.connect(lambda: self.ends_chosen.emit(self.ends[1], self.ends[0]))
+        box = row(self.pictures[0], self.choices[0], self.slider, self.value, self.choices[1], self.pictures[1], swap,
+                  spacing=10, margins=(16, 5, 16, 5))  # fmt: skip
+        box.setStretch(2, 1)
+        self.setLayout(box)
+
+    def set_ends(self, names: tuple[str, ...], ends: tuple[str, str]) -> None:
+        """The shapes to choose from, and A and B."""
+        self.ends = ends
+        for choice, name in zip(self.choices, ends, strict=True):
+            choice.set_options(tuple((n, n) for n in names), name)
+
+    def set_share(self, share: float) -> None:
+        """Show how far from A to B (0..1), without telling."""
+        self.slider.blockSignals(True)
+        self.slider.setValue(round(share * AB_STEPS))
+        self.slider.blockSignals(False)
+        self.value.setText(f"{share:.0%}")

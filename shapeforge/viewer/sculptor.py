@@ -1,0 +1,411 @@
+"""New shapes by hand: a base shape, sliders on what the machine learned, parts on and off; points now, meshes later.
+
+No Qt here.  Points come at once (milliseconds), meshes from a worker that always works on the newest wish.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from shapeforge.generative.draw import draw
+from shapeforge.generative.inference import Latents, infer, logit, sigmoid
+from shapeforge.generative.units import Direction, bundles, drive
+from shapeforge.synthesis.assemble import SynthesizedShape
+from shapeforge.synthesis.assemble import synthesize as synthesize_mesh
+from shapeforge.viewer.display import Caption, Display, Mark, MeshLayer, PointLayer, View
+from shapeforge.viewer.palette import label_colours, part_colours
+from shapeforge.viewer.session import Session
+
+PERCENTILES = 3.29
+"""Standard deviations between the 5th and the 95th percentile of a normal distribution."""
+FINER = 8
+AXES = ("width", "height", "depth")
+
+
+@dataclass(frozen=True, eq=False)
+class Recipe:
+    """How a shape was made: the base, slider values (standard deviations) and which parts; enough to make it again."""
+
+    label: str
+    base: Latents
+    sliders: Mapping[int, float] = field(default_factory=dict)
+    parts_on: Mapping[int, bool] = field(default_factory=dict)
+    origin: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """A mesh that came from the worker: for which wish, how fine, and the training shape nearest to it."""
+
+    wish: int
+    shape: SynthesizedShape
+    preview: bool
+    nearest: str
+    nearest_distance: float
+
+
+class Sculptor:
+    """The learnt family of the session's project and the shape in hand.
+
+    ``session.sliders`` and ``session.parts_on`` are the truth about sliders and parts; ``recipes`` is the history, of
+    which the first ``done`` + 1 were made and the rest undone.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self._key: Any = None
+        self.recipes: list[Recipe] = []
+        self.done = -1
+        self._draws = 0
+        self.directions: list[Direction] = []
+        self.names: list[str] = []
+
+    # ---- the learnt family ---------------------------------------------------------------------------------------
+
+    def reload(self) -> bool:
+        """Look at the project's present machine; True when it is another than before (the history starts anew)."""
+        project = self.session.project
+        key = None if project is None else (str(project.path), project.machine_id)
+        if key == self._key:
+            return False
+        self._key = key
+        self.machine = None if project is None else project.machine()
+        if self.machine is None:
+            return True
+        self.mixture, self.observations = project.mixture(), project.observations()
+        self.coarse = len(project.directions())
+        self.directions = [*project.directions(), *bundles(self.machine, self.observations, FINER)]
+        self.latents = infer(self.machine, self.observations.values, self.observations.exists)
+        self.part, self.part_names = self.observations.part, tuple(self.observations.part_names)
+        self.shape_names = tuple(project.fit_names)
+        self.positions = self.observations.positions()
+        self.names = [self._describe(i) for i in range(len(self.directions))]
+        self._number_twins()
+        self.recipes, self.done = [], -1
+        self.start(Recipe("mean", self.mean_base(), origin="mean"))
+        return True
+
+    @property
+    def has_machine(self) -> bool:
+        """A machine has been learnt."""
+        return getattr(self, "machine", None) is not None
+
+    def mean_base(self) -> Latents:
+        """The middle of the shapes with the family's most common parts."""
+        patterns, which, counts = np.unique(self.latents.exists, axis=0, return_inverse=True, return_counts=True)
+        members = np.flatnonzero(which.reshape(-1) == counts.argmax())
+        hidden = [sigmoid(logit(layer[members]).mean(axis=0, keepdims=True)) for layer in self._layers(self.latents)]
+        return Latents(*hidden, patterns[counts.argmax()][None])
+
+    @staticmethod
+    def _layers(latents: Latents) -> tuple[np.ndarray, ...]:
+        return latents.hidden1, latents.hidden2, latents.hidden3
+
+    def random_base(self) -> Latents:
+        """A draw from the learnt distribution; the n-th draw of a project is always the same."""
+        self._draws += 1
+        return draw(self.machine, self.mixture, 1, rng=np.random.default_rng([7, self._draws])).latents
+
+    def base_of(self, name: str) -> Latents:
+        """The latents of a shape of the family."""
+        return self.latents[self.shape_names.index(name)]
+
+    def between(self, first: Latents, second: Latents, share: float) -> Latents:
+        """``share`` of the way from one shape to another, in the logits of every layer; parts of the nearer one."""
+        hidden = [
+            sigmoid((1 - share) * logit(a) + share * logit(b)).astype(a.dtype)
+            for a, b in zip(self._layers(first), self._layers(second), strict=True)
+        ]
+        return Latents(*hidden, (first if share < 0.5 else second).exists)
+
+    # ---- the shape in hand ---------------------------------------------------------------------------------------
+
+    @property
+    def recipe(self) -> Recipe:
+        """The last recipe of the history that is in effect (its sliders as they were when it was kept)."""
+        return self.recipes[self.done]
+
+    def start(self, recipe: Recipe) -> None:
+        """Make another shape, as a new item of the history; what had been undone is forgotten."""
+        del self.recipes[self.done + 1 :]
+        self.recipes.append(recipe)
+        self.done = len(self.recipes) - 1
+        self._take_over(recipe)
+
+    def keep(self, label: str) -> None:
+        """Keep the shape in hand (sliders and parts as they are now) as a new item of the history."""
+        now = replace(self.recipe, label=label, sliders=dict(self.session.sliders), parts_on=dict(self.session.parts_on))
+        self.start(now)
+
+    def go_to(self, index: int) -> None:
+        """Back (or forth) to an item of the history."""
+        index = min(max(index, 0), len(self.recipes) - 1)
+        if index != self.done:
+            self.done = index
+            self._take_over(self.recipe)
+
+    def _take_over(self, recipe: Recipe) -> None:
+        self.session.parts_on = dict(recipe.parts_on)
+        self.session.sliders = dict(recipe.sliders)
+
+    @property
+    def undo_label(self) -> str | None:
+        """What Undo would take back, None when nothing."""
+        return self.recipe.label if self.done > 0 else None
+
+    @property
+    def redo_label(self) -> str | None:
+        """What Redo would do again, None when nothing."""
+        return self.recipes[self.done + 1].label if self.done + 1 < len(self.recipes) else None
+
+    def undo(self) -> None:
+        """Back to the item before."""
+        self.go_to(self.done - 1)
+
+    def redo(self) -> None:
+        """Forth to the next item."""
+        self.go_to(self.done + 1)
+
+    def unit(self, index: int) -> float:
+        """One standard deviation of a slider, in the direction's own units."""
+        direction = self.directions[index]
+        return max((direction.high - direction.low) / PERCENTILES, 1e-9)
+
+    def exists(self, recipe: Recipe | None = None) -> Bool[np.ndarray, " L"]:
+        """Which parts the shape in hand (or of a recipe) has (L,)."""
+        base = self.recipe.base if recipe is None else recipe.base
+        wanted = self.session.parts_on if recipe is None else recipe.parts_on
+        present = np.array(base.exists[0], bool)
+        for part, on in wanted.items():
+            present[part] = on
+        return present
+
+    def points(self, recipe: Recipe | None = None) -> Float[np.ndarray, "K 3"]:
+        """Points (K, 3) of the shape in hand (or of a recipe), normal coordinates, NaN where a part is absent."""
+        sliders = self.session.sliders if recipe is None else recipe.sliders
+        base = self.recipe.base if recipe is None else recipe.base
+        settings = {index: value * self.unit(index) for index, value in sliders.items() if value}
+        found = drive(self.machine, base, settings, self.exists(recipe), directions=self.directions)
+        return np.asarray(found, np.float64)
+
+    def always(self) -> Bool[np.ndarray, " L"]:
+        """Parts that every shape of the family has (L,): they cannot be switched off."""
+        return self.observations.exists.all(axis=0)
+
+    def seen(self) -> Bool[np.ndarray, " L"]:
+        """Parts that any shape of the family has (L,)."""
+        return self.observations.exists.any(axis=0)
+
+    def nearest(self, points: Float[np.ndarray, "K 3"]) -> tuple[str, float]:
+        """The shape of the family nearest to these points and the mean distance (diagonals) over the points of both."""
+        away = np.linalg.norm(self.positions - points, axis=2)
+        both = np.isfinite(away)
+        share = both.sum(axis=1) / max(int(np.isfinite(points).all(axis=1).sum()), 1)
+        mean = np.where(both, away, 0).sum(axis=1) / np.maximum(both.sum(axis=1), 1)
+        mean = np.where(share > 0.5, mean, np.inf)
+        best = int(mean.argmin())
+        return self.shape_names[best], float(mean[best])
+
+    def place_on_map(self, embedding: Float[np.ndarray, "T 2"], points: Float[np.ndarray, "K 3"]) -> tuple[float, float]:
+        """Where the shape in hand lies on a map of the family: among the shapes it resembles most."""
+        away = np.nan_to_num(np.linalg.norm(self.positions - points, axis=2), nan=0.15).mean(axis=1)
+        weight = np.exp(-((away - away.min()) / max(0.25 * float(away.min()), 0.004)))
+        x, y = (weight[:, None] * embedding).sum(axis=0) / weight.sum()
+        return float(x), float(y)
+
+    # ---- words ---------------------------------------------------------------------------------------------------
+
+    def _describe(self, index: int) -> str:
+        """A name for a slider from what it measurably does: "Height of the back", "Width"."""
+        direction = self.directions[index]
+        base = self.mean_base()
+        ends = [
+            drive(self.machine, base, {index: value}, np.ones(len(self.part_names), bool), directions=self.directions)
+            for value in (direction.low, direction.high)
+        ]
+        whole = np.ones(len(self.part), bool)
+        for l in range(len(self.part_names)):
+            whole &= (self.part != l) | bool(base.exists[0, l])
+        change = np.abs(_extent(ends[1][whole]) - _extent(ends[0][whole]))
+        best = ("", int(change.argmax()), 1.15 * float(change.max()))
+        for l, name in enumerate(self.part_names):
+            own = self.part == l
+            if own.any() and name in direction.parts:
+                grown = np.abs(_extent(ends[1][own]) - _extent(ends[0][own]))
+                if grown.max() > best[2]:
+                    best = (name, int(grown.argmax()), float(grown.max()))
+                moved = np.abs((ends[1][own] - ends[0][own]).mean(axis=0))
+                if moved.max() > best[2]:
+                    best = (f"{name} ", int(moved.argmax()), float(moved.max()))
+        if best[2] < 0.004:
+            return f"Shape of the {direction.parts[0]}" if direction.parts else direction.name
+        if best[0].endswith(" "):
+            return f"Place of the {best[0].strip()}, " + ("left – right", "low – high", "back – front")[best[1]]
+        name = AXES[best[1]].capitalize()
+        return f"{name} of the {best[0]}" if best[0] else name
+
+    def _number_twins(self) -> None:
+        seen: dict[str, int] = {}
+        for i, name in enumerate(self.names):
+            seen[name] = seen.get(name, 0) + 1
+            if seen[name] > 1:
+                self.names[i] = f"{name} ({seen[name]})"
+
+    # ---- what is shown -------------------------------------------------------------------------------------------
+
+    def points_layer(self, points: Float[np.ndarray, "K 3"], size: float = 5.0) -> PointLayer:
+        """The points of the shape in hand as dots in their parts' colours."""
+        there = np.isfinite(points).all(axis=1)
+        colours = label_colours(np.asarray(self.part, np.int64), len(self.part_names))
+        return PointLayer("points", points[there], colours[there], size)
+
+    def mesh_layer(self, shape: SynthesizedShape) -> MeshLayer:
+        """A made mesh in its parts' colours."""
+        return MeshLayer(
+            "mesh", np.asarray(shape.vertices, float), shape.triangles,
+            label_colours(np.asarray(shape.part, np.int64), len(self.part_names)),
+        )  # fmt: skip
+
+    def display(
+        self, layers: tuple[MeshLayer | PointLayer, ...], made: Made | None, label: str, busy: bool,
+        marks: tuple[Mark, ...] = (),
+    ) -> Display:  # fmt: skip
+        """The shape with what is known about it in the corners."""
+        captions = [Caption("top left", ((label, "strong"), *self._size_words(made)))]
+        if made is not None:
+            used = sorted({name for name in made.shape.sources if name})
+            few = ", ".join(used[:3]) + (f" and {len(used) - 3} more" if len(used) > 3 else "")
+            nearest = f"nearest real shape: {made.nearest}, {100 * made.nearest_distance:.1f}% of size"
+            captions.append(Caption("top right", ((f"parts from {few}", "plain"), (nearest, "plain"))))
+            captions.append(Caption("bottom right", ((measure_words(made.shape.measures), "plain"),)))
+        if busy:
+            captions.append(Caption("bottom left", (("making the mesh…", "faint"),)))
+        return Display((View(layers, marks, tuple(captions)),))
+
+    @staticmethod
+    def _size_words(made: Made | None) -> tuple[tuple[str, str], ...]:
+        if made is None:
+            return ()
+        kind = "preview, " if made.preview else ""
+        return ((f"{kind}{len(made.shape.triangles):,} faces".replace(",", "\u202f"), "plain"),)
+
+
+def _extent(points: np.ndarray) -> np.ndarray:
+    low, high = np.nanpercentile(points, (2, 98), axis=0)
+    return high - low
+
+
+def measure_words(measures: Mapping[str, Any]) -> str:
+    """What was measured on a made mesh, in one line."""
+    words = [f"gaps {100 * measures.get('largest_gap', 0.0):.1f}%"]
+    if measures.get("symmetry_error") is not None:
+        words.append(f"symmetry {100 * measures['symmetry_error']:.1f}% of size")
+    folded = int(measures.get("folded_triangles", 0))
+    words.append(f"{folded} folded triangle{'s' * (folded != 1)}")
+    return " · ".join(words)
+
+
+def export_mesh(path: Path, sculptor: Sculptor, shape: SynthesizedShape, recipe: Recipe) -> Path:
+    """Write a made mesh (glb, ply, obj or stl by the ending) and, beside it, the recipe to remake it; its path."""
+    from shapeforge.collection.meshes import write_mesh
+
+    order = np.argsort(shape.part, kind="stable")
+    write_mesh(
+        path, shape.vertices, np.asarray(shape.triangles)[order], np.asarray(shape.part)[order], shape.part_names,
+        part_colours(len(shape.part_names)),
+    )  # fmt: skip
+    beside = path.with_name(path.name + ".recipe.json")
+    content = {
+        "version": 1, "label": recipe.label, "origin": recipe.origin, "machine": sculptor.session.project.machine_id,
+        "sliders": {sculptor.names[i]: value for i, value in sculptor.session.sliders.items()},
+        "parts": [n for n, on in zip(sculptor.part_names, sculptor.exists(), strict=True) if on],
+        "sources": list(shape.sources), "measures": json.loads(json.dumps(dict(shape.measures), default=float)),
+        "hidden": [np.round(layer[0].astype(float), 5).tolist() for layer in sculptor._layers(recipe.base)],
+    }  # fmt: skip
+    temporary = beside.with_name(beside.name + ".part")
+    temporary.write_text(json.dumps(content, indent=1), "utf-8")
+    temporary.replace(beside)
+    return beside
+
+
+class MeshWorker:
+    """A thread that makes the mesh of the newest wish; wishes overtaken meanwhile are forgotten.
+
+    ``arrived()`` is called from the thread when ``take()`` has something new.
+    """
+
+    def __init__(self, sculptor: Sculptor, arrived: Callable[[], None]) -> None:
+        self._sculptor, self._arrived = sculptor, arrived
+        self._wake = threading.Condition()
+        self._wish: tuple[int, np.ndarray, np.ndarray, bool] | None = None
+        self._result: Made | Exception | None = None
+        self._closed = False
+        self._sources: tuple[Any, Any] = (None, None)
+        self._retrieved: tuple[Any, np.ndarray | None] = (None, None)
+        self.busy = False
+        self._thread = threading.Thread(target=self._run, name="meshes", daemon=True)
+        self._thread.start()
+
+    def ask(self, wish: int, points: Float[np.ndarray, "K 3"], exists: Bool[np.ndarray, " L"], preview: bool) -> None:
+        """Make this next; a wish not yet begun is replaced."""
+        with self._wake:
+            self._wish = (wish, points, exists, preview)
+            self.busy = True
+            self._wake.notify()
+
+    def take(self) -> Made | Exception | None:
+        """The newest result not taken yet: a mesh, or what went wrong."""
+        with self._wake:
+            result, self._result = self._result, None
+            return result
+
+    def close(self, wait: float = 5.0) -> None:
+        """Stop; waits for the mesh being made, at most ``wait`` seconds."""
+        with self._wake:
+            self._closed = True
+            self._wake.notify()
+        self._thread.join(wait)
+
+    def _run(self) -> None:
+        while True:
+            with self._wake:
+                while self._wish is None and not self._closed:
+                    self.busy = False
+                    self._wake.wait()
+                if self._closed:
+                    return
+                wish, self._wish = self._wish, None
+            try:
+                result: Made | Exception = self._make(*wish)
+            except Exception as error:  # whatever it is, the window has to say it and go on
+                result = error
+            with self._wake:
+                self._result = result
+                self.busy = self._wish is not None
+                closed = self._closed
+            if not closed:
+                self._arrived()
+
+    def _make(self, wish: int, points: np.ndarray, exists: Int[np.ndarray, " L"], preview: bool) -> Made:
+        from shapeforge.stages_synthesis import sources_of
+        from shapeforge.synthesis.retrieve import retrieve
+
+        project = self._sculptor.session.project
+        if self._sources[0] != (str(project.path), project.fit_id):
+            self._sources = ((str(project.path), project.fit_id), sources_of(project))
+        sources = self._sources[1]
+        # While a slider moves the parts keep their origin, else they flicker from one training shape to another.
+        key = exists.tobytes()
+        if not preview or self._retrieved[0] != key:
+            self._retrieved = (key, retrieve(points, exists, sources).shape)
+        shape = synthesize_mesh(points, exists, sources, preview=preview, shapes=self._retrieved[1])
+        nearest, distance = self._sculptor.nearest(points)
+        return Made(wish, shape, preview, nearest, distance)
