@@ -7,7 +7,10 @@ import math
 import numpy as np
 
 
-def correspondences(points, point_f, deformed, variance, template_f, label, pairs, s, sigma1, precision3, log_epsilon):
+def correspondences(
+    points, point_f, point_n, deformed, variance, template_f, template_n, label, pairs, s, sigma1, precision3, log_epsilon,
+    normal_weight,
+):  # fmt: skip
     """q[p][k] over the given pairs, a list of k per p (supplement, correspondence update)."""
     out = []
     for p, ks in enumerate(pairs):
@@ -19,6 +22,7 @@ def correspondences(points, point_f, deformed, variance, template_f, label, pair
                 value -= 0.5 * variance[k][axis] / sigma1[axis]
             for d in range(len(precision3)):
                 value -= 0.5 * precision3[d] * (template_f[k][d] - point_f[p][d]) ** 2
+            value -= normal_weight * (1.0 - abs(sum(point_n[p][axis] * template_n[k][axis] for axis in range(3))))
             value += log_epsilon * (1.0 - s[p][label[k]])
             logits.append(value)
         top = max(logits)

@@ -53,8 +53,11 @@ def merge_candidates(by_point, by_template, n_points):
 
 
 @njit(**_FAST)
-def descriptor_costs(offsets, template_index, point_descriptors, template_descriptors, precision, out):
-    """``out[c] = ½ (f_k - f_p)ᵀ precision (f_k - f_p)`` for every candidate pair (φ3, diagonal)."""
+def descriptor_costs(
+    offsets, template_index, point_descriptors, template_descriptors, precision, point_normals, template_normals,
+    normal_weight, out,
+):  # fmt: skip
+    """``out[c] = ½ (f_k - f_p)ᵀ precision (f_k - f_p) + normal_weight (1 - |n_k·n_p|)`` for every pair (φ3, diagonal)."""
     for p in range(offsets.shape[0] - 1):
         for c in range(offsets[p], offsets[p + 1]):
             k = template_index[c]
@@ -62,7 +65,10 @@ def descriptor_costs(offsets, template_index, point_descriptors, template_descri
             for d in range(precision.shape[0]):
                 difference = template_descriptors[k, d] - point_descriptors[p, d]
                 total += precision[d] * difference * difference
-            out[c] = 0.5 * total
+            cosine = 0.0
+            for axis in range(3):
+                cosine += point_normals[p, axis] * template_normals[k, axis]
+            out[c] = 0.5 * total + normal_weight * (1.0 - abs(cosine))
 
 
 @njit(**_FAST)

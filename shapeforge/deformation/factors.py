@@ -12,11 +12,14 @@ from shapeforge.deformation import _kernels
 LOG_EPSILON = float(np.log(1e-3))
 """φ4: log probability that a point bears another label than the template point it corresponds to."""
 
-PHI_RANGE = (0.5, 0.999)
+PHI_RANGE = (0.5, 0.6)
 """φ5 is clamped here: below one half neighbours would repel each other, which no segmentation means."""
 
 DESCRIPTOR_WEIGHT = 0.5
 """φ3's exponent: shape diameters under three normalisations correlate at .99, a diagonal Σ3 counts them thrice."""
+
+NORMAL_WEIGHT = 6.0
+"""Nats that φ3 charges for surfaces at right angles. Unsigned: polygon soup has no orientation. Not in the print."""
 
 FLOORS = {"unary": 0.008, "smooth": 0.02, "descriptor": 0.02, "segment": 0.02}
 """Smallest standard deviations (diagonals; descriptor units). Without them Σ2 collapses and templates go rigid."""

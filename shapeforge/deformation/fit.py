@@ -48,8 +48,11 @@ SETTLED = 5e-4
 EXEMPLARS_PER_SHAPE = 3
 """Exemplars tried on every shape: its own group's and the next best by affine residual."""
 
-GAP_TEMPERATURE = 0.15
-"""How fast an exemplar's weight falls with the gap (relative to the best) that its deformed template leaves."""
+GAP_SCALE = 0.02
+"""Gap (diagonals) between a deformed template and the surface that counts as one nat of misfit."""
+
+WEIGHT_TEMPERATURE = 0.25
+"""How fast an exemplar's weight falls with its misfit (nats per point) above the best exemplar's."""
 
 
 class FitDiverged(RuntimeError):
@@ -62,11 +65,15 @@ class FitDiverged(RuntimeError):
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One exemplar's templates on one shape: the beliefs, and the weight this explanation has among the shape's."""
+    """One exemplar's templates on one shape: the beliefs, and the weight this explanation has among the shape's.
+
+    ``misfit`` (nats per point) is what the weight follows from: the gap between the deformed template and the surface,
+    and how unlike the corresponding surfaces are (φ3).
+    """
 
     beliefs: Beliefs
     weight: float
-    gap: float
+    misfit: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +241,7 @@ def _work_on_shape(
         moves.append(float(np.linalg.norm(beliefs.deformed - candidate.beliefs.deformed, axis=1).mean()))
         done.append(beliefs)
         sums.append(summary)
-    weighed = weigh(problem, templates, done)
+    weighed = weigh(problem, templates, done, [summary.likeness / summary.points for summary in sums])
     best = max(range(len(weighed)), key=lambda i: weighed[i].weight)
     return weighed, tuple(sums), moves[best]
 
@@ -250,9 +257,7 @@ def fit_shape(
 ) -> tuple[Beliefs, Summary]:
     """One outer round of one template set on one shape: q, s, D ``inner`` times, then existence and the part maps."""
     graph = pair_graph(templates.neighbours)
-    candidates = find_candidates(
-        problem, templates, beliefs.deformed, beliefs.active[templates.label], covariances.descriptor
-    )
+    candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
     pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)
     for _ in range(inner):
         correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
@@ -264,18 +269,23 @@ def fit_shape(
     return update_maps(templates, correspondence, beliefs), summary
 
 
-def weigh(problem: Problem, templates: Sequence[PartTemplates], beliefs: Sequence[Beliefs]) -> tuple[Candidate, ...]:
-    """Weight each exemplar's explanation by the symmetric gap between its deformed template and the surface."""
+def weigh(
+    problem: Problem, templates: Sequence[PartTemplates], beliefs: Sequence[Beliefs], likeness: Sequence[float]
+) -> tuple[Candidate, ...]:
+    """Weigh the exemplars' explanations of a shape by how well each *deformed* template explains it.
+
+    A flexible template reaches almost any surface, so the gap alone is a poor judge: ``likeness`` (nats per point) adds
+    φ3, which knows whether the surfaces brought together look alike.
+    """
     points = thinned(problem.points, 1500)
-    gaps = []
-    for belief in beliefs:
+    misfits = []
+    for belief, unlike in zip(beliefs, likeness, strict=True):
         alive = thinned(belief.deformed[belief.active[templates[belief.template].label]], 1500)
-        there = cKDTree(alive).query(points)[0].mean()
-        back = cKDTree(points).query(alive)[0].mean()
-        gaps.append(float(there + back))
-    least = max(min(gaps), 1e-6)
-    weights = [float(np.exp(-(gap - least) / (GAP_TEMPERATURE * least))) for gap in gaps]
-    return tuple(Candidate(b, w, g) for b, w, g in zip(beliefs, weights, gaps, strict=True))
+        gap = cKDTree(alive).query(points)[0].mean() + cKDTree(points).query(alive)[0].mean()
+        misfits.append(float(gap / GAP_SCALE + unlike))
+    least = min(misfits)
+    weights = [float(np.exp(-(misfit - least) / WEIGHT_TEMPERATURE)) for misfit in misfits]
+    return tuple(Candidate(b, w, m) for b, w, m in zip(beliefs, weights, misfits, strict=True))
 
 
 def affine_beliefs(
@@ -310,7 +320,7 @@ def _start(shape, faces, templates, own, how_many, seed) -> tuple[Candidate, ...
     alignments = [affine_align(template.points, shape.points) for template in templates]
     order = sorted(range(len(templates)), key=lambda g: (g != own, alignments[g].residual))[:how_many]
     beliefs = [affine_beliefs(shape, problem, templates[g], g, alignments[g], seed) for g in order]
-    return weigh(problem, templates, beliefs)
+    return weigh(problem, templates, beliefs, [0.0] * len(beliefs))
 
 
 def _exemplar_templates(shapes, groups, labels, part_names, seeds) -> Iterator[PartTemplates]:

@@ -79,8 +79,8 @@ def register(source: PartTemplates, target: PartTemplates) -> Float[np.ndarray, 
     on_source, on_target = shared[source.label], shared[target.label]
     alignment = affine_align(source.points[on_source], target.points[on_target])
     problem = Problem(
-        np.ascontiguousarray(target.points[on_target]), np.ascontiguousarray(target.descriptors[on_target]),
-        np.zeros(on_target.sum() + 1, np.int64), np.zeros(0, np.int32), target.label[on_target].astype(np.int32),
+        np.ascontiguousarray(target.points[on_target]), np.ascontiguousarray(target.normals[on_target]),
+        np.ascontiguousarray(target.descriptors[on_target]), np.zeros(on_target.sum() + 1, np.int64), np.zeros(0, np.int32), target.label[on_target].astype(np.int32),
     )  # fmt: skip
     n_parts = source.n_parts
     deformed = alignment(source.points)
@@ -99,8 +99,7 @@ def register(source: PartTemplates, target: PartTemplates) -> Float[np.ndarray, 
 
 
 def _one_round(problem, source, graph, beliefs: Beliefs, covariances: Covariances) -> Beliefs:
-    alive = beliefs.active[source.label]
-    candidates = find_candidates(problem, source, beliefs.deformed, alive, covariances.descriptor)
+    candidates = find_candidates(problem, source, beliefs, covariances.descriptor)
     for _ in range(3):
         correspondence = update_correspondences(problem, source, candidates, beliefs, covariances.unary)
         beliefs = update_deformations(source, graph, correspondence, beliefs, covariances)

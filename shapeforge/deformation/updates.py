@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation import _kernels
 from shapeforge.deformation.beliefs import Beliefs
-from shapeforge.deformation.factors import DESCRIPTOR_WEIGHT, LOG_EPSILON, Covariances
+from shapeforge.deformation.factors import DESCRIPTOR_WEIGHT, LOG_EPSILON, NORMAL_WEIGHT, Covariances
 from shapeforge.deformation.templates import PartTemplates, pair_graph
 
 POINT_CANDIDATES = 15
@@ -32,6 +32,7 @@ class Problem:
     """One shape as the updates see it: contiguous arrays, the symmetric neighbourhood graph, painted evidence."""
 
     points: Float[np.ndarray, "P 3"]
+    normals: Float[np.ndarray, "P 3"]
     descriptors: Float[np.ndarray, "P d"]
     offsets: Int[np.ndarray, " P1"]
     neighbour: Int[np.ndarray, " M"]
@@ -64,20 +65,20 @@ def make_problem(shape: Shape, faces: np.ndarray | None = None) -> Problem:
     if faces is not None:
         evidence = np.asarray(faces)[shape.face_of_point].astype(np.int32)
     return Problem(
-        np.ascontiguousarray(shape.points, np.float64), np.ascontiguousarray(shape.descriptors, np.float64), offsets,
-        neighbour, evidence,
+        np.ascontiguousarray(shape.points, np.float64), np.ascontiguousarray(shape.normals, np.float64),
+        np.ascontiguousarray(shape.descriptors, np.float64), offsets, neighbour, evidence,
     )  # fmt: skip
 
 
 def find_candidates(
-    problem: Problem, templates: PartTemplates, deformed: Float[np.ndarray, "K 3"], alive: Bool[np.ndarray, " K"],
-    descriptor: Float[np.ndarray, " d"],
-) -> Candidates:  # fmt: skip
+    problem: Problem, templates: PartTemplates, beliefs: Beliefs, descriptor: Float[np.ndarray, " d"]
+) -> Candidates:
     """Sparsity of q (supplement): each template point keeps its nearest samples, each sample its nearest template points.
 
-    Only template points of active parts (``alive``) take part.
+    Only template points of active parts take part.  The normals of the template are carried along by its part maps.
     """
-    rows = np.flatnonzero(alive).astype(np.int32)
+    deformed = beliefs.deformed
+    rows = np.flatnonzero(beliefs.active[templates.label]).astype(np.int32)
     a = min(POINT_CANDIDATES, len(rows))
     b = min(TEMPLATE_CANDIDATES, len(problem.points))
     by_point = cKDTree(deformed[rows]).query(problem.points, k=a)[1].reshape(-1, a)
@@ -86,9 +87,17 @@ def find_candidates(
     offsets, index = _kernels.merge_candidates(rows[by_point].astype(np.int32), by_template, len(problem.points))
     costs = np.empty(len(index))
     _kernels.descriptor_costs(
-        offsets, index, problem.descriptors, templates.descriptors, DESCRIPTOR_WEIGHT / descriptor, costs
-    )
+        offsets, index, problem.descriptors, templates.descriptors, DESCRIPTOR_WEIGHT / descriptor, problem.normals,
+        mapped_normals(templates, beliefs), NORMAL_WEIGHT, costs,
+    )  # fmt: skip
     return Candidates(offsets, index, costs)
+
+
+def mapped_normals(templates: PartTemplates, beliefs: Beliefs) -> Float[np.ndarray, "K 3"]:
+    """Unit normals of the template under the inverse transpose of the shape's part maps (K, 3)."""
+    cofactor = np.linalg.pinv(beliefs.maps).transpose(0, 2, 1)
+    normals = np.einsum("kij,kj->ki", cofactor[templates.label], templates.normals)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
 
 
 def update_correspondences(
@@ -208,6 +217,7 @@ class Summary:
     template_normal: Float[np.ndarray, "L 3 3"]
     template_moment: Float[np.ndarray, "K 3"]
     energy: float
+    likeness: float
     points: int
 
     def __add__(self, other: Summary) -> Summary:
@@ -238,7 +248,7 @@ def summarize(
         moment[rows] = centred @ a
     return Summary(
         float(weight), unary, descriptor, by_part, int(pairs), smooth, len(problem.neighbour),
-        segment, normal, moment, float(energy), len(problem.points),
+        segment, normal, moment, float(energy), float(correspondence.q @ candidates.costs), len(problem.points),
     )  # fmt: skip
 
 

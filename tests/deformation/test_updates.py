@@ -10,11 +10,12 @@ from tests import oracles
 
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.energy import free_energy
-from shapeforge.deformation.factors import DESCRIPTOR_WEIGHT, LOG_EPSILON, attraction, initial_covariances
+from shapeforge.deformation.factors import DESCRIPTOR_WEIGHT, LOG_EPSILON, NORMAL_WEIGHT, attraction, initial_covariances
 from shapeforge.deformation.templates import pair_graph, template_from_points
 from shapeforge.deformation.updates import (
     Problem,
     find_candidates,
+    mapped_normals,
     mapped_template,
     update_correspondences,
     update_deformations,
@@ -41,7 +42,9 @@ def toy(seed: int, n_points: int = 90, n_template: int = 60):
     offsets, index = pair_graph(neighbours)
     evidence = np.full(n_points, -1, np.int32)
     evidence[:4] = templates.label[pick[:4]]
-    problem = Problem(points, descriptors[pick] + rng.normal(scale=0.05, size=(n_points, 10)), offsets, index, evidence)
+    normals = rng.normal(size=(n_points, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    problem = Problem(points, normals, descriptors[pick] + rng.normal(scale=0.05, size=(n_points, 10)), offsets, index, evidence)
     segmentation = rng.dirichlet(np.ones(N_PARTS), n_points)
     segmentation[:4] = np.eye(N_PARTS)[evidence[:4]]
     beliefs = Beliefs(
@@ -54,14 +57,12 @@ def toy(seed: int, n_points: int = 90, n_template: int = 60):
 
 def test_correspondences_equal_the_oracle():
     problem, templates, beliefs, covariances = toy(0)
-    candidates = find_candidates(
-        problem, templates, beliefs.deformed, np.ones(templates.n_points, bool), covariances.descriptor
-    )
+    candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
     got = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
     pairs = np.split(candidates.template_index, candidates.offsets[1:-1])
     wanted = oracles.correspondences(
-        problem.points, problem.descriptors, beliefs.deformed, beliefs.variance, templates.descriptors, templates.label,
-        pairs, beliefs.segmentation, covariances.unary, DESCRIPTOR_WEIGHT / covariances.descriptor, LOG_EPSILON,
+        problem.points, problem.descriptors, problem.normals, beliefs.deformed, beliefs.variance, templates.descriptors, mapped_normals(templates, beliefs), templates.label,
+        pairs, beliefs.segmentation, covariances.unary, DESCRIPTOR_WEIGHT / covariances.descriptor, LOG_EPSILON, NORMAL_WEIGHT,
     )  # fmt: skip
     np.testing.assert_allclose(got.q, np.concatenate(wanted), atol=1e-10)
     sums = np.add.reduceat(got.q, candidates.offsets[:-1])
@@ -73,9 +74,7 @@ def test_correspondences_equal_the_oracle():
 def test_sparse_equals_dense_when_every_pair_is_kept(monkeypatch):
     problem, templates, beliefs, covariances = toy(1)
     monkeypatch.setattr("shapeforge.deformation.updates.POINT_CANDIDATES", templates.n_points)
-    candidates = find_candidates(
-        problem, templates, beliefs.deformed, np.ones(templates.n_points, bool), covariances.descriptor
-    )
+    candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
     assert len(candidates.template_index) == len(problem.points) * templates.n_points
     assert (candidates.template_index[: templates.n_points] == np.arange(templates.n_points)).all()
 
@@ -83,7 +82,8 @@ def test_sparse_equals_dense_when_every_pair_is_kept(monkeypatch):
 def test_candidates_leave_out_inactive_parts_and_hold_no_pair_twice():
     problem, templates, beliefs, covariances = toy(2)
     alive = templates.label != 1
-    candidates = find_candidates(problem, templates, beliefs.deformed, alive, covariances.descriptor)
+    beliefs = replace(beliefs, active=np.array([True, False, True]))
+    candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
     assert alive[candidates.template_index].all()
     for row in np.split(candidates.template_index, candidates.offsets[1:-1]):
         assert (np.diff(row) > 0).all()
@@ -92,9 +92,7 @@ def test_candidates_leave_out_inactive_parts_and_hold_no_pair_twice():
 def test_deformations_reach_the_solution_of_the_linear_system():
     problem, templates, beliefs, covariances = toy(3)
     graph = pair_graph(templates.neighbours)
-    candidates = find_candidates(
-        problem, templates, beliefs.deformed, np.ones(templates.n_points, bool), covariances.descriptor
-    )
+    candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
     correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
     got = update_deformations(templates, graph, correspondence, beliefs, covariances, sweeps=4000)
     owner = np.repeat(np.arange(templates.n_points), np.diff(graph[0]))
@@ -109,9 +107,7 @@ def test_deformations_reach_the_solution_of_the_linear_system():
 def test_a_prior_pulls_every_point_to_its_mean_in_proportion_to_its_precision():
     problem, templates, beliefs, covariances = toy(4)
     graph = pair_graph(templates.neighbours)
-    candidates = find_candidates(
-        problem, templates, beliefs.deformed, np.ones(templates.n_points, bool), covariances.descriptor
-    )
+    candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
     correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
     mean = templates.points + 0.3
     free = update_deformations(templates, graph, correspondence, beliefs, covariances, sweeps=500)
@@ -127,9 +123,7 @@ def test_a_prior_pulls_every_point_to_its_mean_in_proportion_to_its_precision():
 
 def test_segmentation_equals_the_oracle_point_by_point():
     problem, templates, beliefs, covariances = toy(5)
-    candidates = find_candidates(
-        problem, templates, beliefs.deformed, np.ones(templates.n_points, bool), covariances.descriptor
-    )
+    candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
     correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
     beliefs = replace(beliefs, active=np.array([True, True, False]))
     start = np.where(beliefs.active, beliefs.segmentation + 1e-9, 0.0)
@@ -153,9 +147,7 @@ def test_segmentation_equals_the_oracle_point_by_point():
 def test_no_exact_update_raises_the_free_energy(seed):
     problem, templates, beliefs, covariances = toy(seed)
     graph = pair_graph(templates.neighbours)
-    candidates = find_candidates(
-        problem, templates, beliefs.deformed, np.ones(templates.n_points, bool), covariances.descriptor
-    )
+    candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
     correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
 
     pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)
@@ -180,11 +172,11 @@ def test_part_maps_recover_an_affine_change_of_each_part():
     problem, templates, beliefs, covariances = toy(7, n_points=600, n_template=240)
     truth = np.array([[1.3, 0.1, 0.0], [0.0, 0.8, 0.0], [0.0, 0.05, 1.1]])
     points = templates.points @ truth.T + 0.02
-    problem = replace(problem, points=points, descriptors=templates.descriptors, offsets=np.zeros(241, np.int64),
+    problem = replace(problem, points=points, normals=templates.normals, descriptors=templates.descriptors, offsets=np.zeros(241, np.int64),
                       neighbour=np.zeros(0, np.int32), evidence=np.full(240, -1, np.int32))  # fmt: skip
     correspondence = update_correspondences(
         problem, templates,
-        find_candidates(problem, templates, points, np.ones(240, bool), covariances.descriptor),
+        find_candidates(problem, templates, replace(beliefs, deformed=points), covariances.descriptor),
         replace(beliefs, deformed=points, segmentation=np.full((240, N_PARTS), 1 / 3), evidence=problem.evidence), np.full(3, 1e-6),
     )  # fmt: skip
     for _ in range(30):  # the ridge leans on the previous map, so it takes a few rounds
