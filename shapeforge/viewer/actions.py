@@ -410,7 +410,7 @@ def _view_actions(actions: Actions) -> list[Action]:
 
 def _collection_actions(actions: Actions) -> list[Action]:
     return [
-        Action("paint_next", "Paint", _paint_next, _can_paint_next, "", "Paint the parts of the next exemplar", "right",
+        Action("paint_next", "Paint the next exemplar", _paint_next, _can_paint_next, "", "Paint the parts of the next exemplar", "right",
                "collection"),
         Action("look_at", "Look at it", _look_at, _has_shape, "Return", "Open the selected shape in Paint", "eye",
                "collection"),
