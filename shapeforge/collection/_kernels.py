@@ -108,8 +108,8 @@ def sift(heap, place, load, at, size):
 
 
 @njit(cache=True, nogil=True)
-def eliminate(rows, columns, weights, group, quota):
-    """Take the most crowded point away until ``quota[g]`` of each group g are left (Yuksel 2015); True for those."""
+def eliminate(rows, columns, weights, group, surplus):
+    """Take the most crowded point away until each group g has lost ``surplus[g]`` (Yuksel 2015); True for the rest."""
     n = len(rows) - 1
     load = np.zeros(n, np.float32)
     for i in range(n):
@@ -121,7 +121,6 @@ def eliminate(rows, columns, weights, group, quota):
         sift(heap, place, load, at, n)
     size = n
     stays = np.ones(n, np.bool_)
-    left = np.bincount(group, minlength=len(quota))
     while size > 0:
         top = heap[0]
         size -= 1
@@ -130,9 +129,9 @@ def eliminate(rows, columns, weights, group, quota):
         if size > 0:
             sift(heap, place, load, 0, size)
         place[top] = -1
-        if left[group[top]] == quota[group[top]]:
+        if surplus[group[top]] == 0:
             continue
-        left[group[top]] -= 1
+        surplus[group[top]] -= 1
         stays[top] = False
         for at in range(rows[top], rows[top + 1]):
             j = columns[at]

@@ -16,25 +16,28 @@ def turn(p, a, b, c):
 def flatten(vertices, corners):
     """Corners in the plane of the polygon's Newell normal, seen so that the polygon turns anticlockwise."""
     n = len(corners)
-    origin = vertices[corners[0]]
+    o = corners[0]
     nx = ny = nz = 0.0
     for i in range(n):
-        a = vertices[corners[i]] - origin
-        b = vertices[corners[(i + 1) % n]] - origin
-        nx += a[1] * b[2] - a[2] * b[1]
-        ny += a[2] * b[0] - a[0] * b[2]
-        nz += a[0] * b[1] - a[1] * b[0]
+        a = corners[i]
+        b = corners[i + 1] if i + 1 < n else o
+        ax, ay, az = vertices[a, 0] - vertices[o, 0], vertices[a, 1] - vertices[o, 1], vertices[a, 2] - vertices[o, 2]
+        bx, by, bz = vertices[b, 0] - vertices[o, 0], vertices[b, 1] - vertices[o, 1], vertices[b, 2] - vertices[o, 2]
+        nx += ay * bz - az * by
+        ny += az * bx - ax * bz
+        nz += ax * by - ay * bx
+    # dropping the axis along which the normal is longest keeps the polygon's order, and needs no root
+    first, second, along = 0, 1, nz
+    if abs(nx) >= abs(ny) and abs(nx) >= abs(nz):
+        first, second, along = 1, 2, nx
+    elif abs(ny) >= abs(nz):
+        first, second, along = 2, 0, ny
+    if along < 0:
+        first, second = second, first
     plane = np.empty((n, 2))
-    ax, ay, az = abs(nx), abs(ny), abs(nz)
-    # dropping the largest axis keeps the shape's topology and needs no root
     for i in range(n):
-        x, y, z = vertices[corners[i]] - origin
-        if ax >= ay and ax >= az:
-            plane[i, 0], plane[i, 1] = (y, z) if nx >= 0 else (z, y)
-        elif ay >= az:
-            plane[i, 0], plane[i, 1] = (z, x) if ny >= 0 else (x, z)
-        else:
-            plane[i, 0], plane[i, 1] = (x, y) if nz >= 0 else (y, x)
+        plane[i, 0] = vertices[corners[i], first] - vertices[o, first]
+        plane[i, 1] = vertices[corners[i], second] - vertices[o, second]
     return plane
 
 
@@ -98,29 +101,33 @@ def clip_ears(plane, out):
 def cut_polygons(vertices, corners, counts):
     """Triangles (N, 3) and their records (N,); a record of n >= 3 corners gives n-2, less those that repeat one."""
     total = 0
-    for count in counts:
-        total += max(count - 2, 0)
+    for k in range(len(counts)):
+        total += max(counts[k] - 2, 0)
     triangles = np.empty((total, 3), np.int64)
     record = np.empty(total, np.int64)
     made = 0
     start = 0
     for k in range(len(counts)):
         n = counts[k]
+        first = made
         if n == 3:
-            a, b, c = corners[start], corners[start + 1], corners[start + 2]
+            for i in range(3):
+                triangles[made, i] = corners[start + i]
+            made += 1
+        elif n > 3:
+            clip_ears(flatten(vertices, corners[start : start + n]), triangles[made : made + n - 2])
+            for piece in range(made, made + n - 2):
+                for i in range(3):
+                    triangles[piece, i] = corners[start + triangles[piece, i]]
+            made += n - 2
+        # what names a vertex twice is left out
+        end = made
+        made = first
+        for piece in range(first, end):
+            a, b, c = triangles[piece, 0], triangles[piece, 1], triangles[piece, 2]
             if a != b and b != c and a != c:
                 triangles[made, 0], triangles[made, 1], triangles[made, 2] = a, b, c
                 record[made] = k
                 made += 1
-        elif n > 3:
-            polygon = corners[start : start + n]
-            pieces = np.empty((n - 2, 3), np.int64)
-            clip_ears(flatten(vertices, polygon), pieces)
-            for piece in pieces:
-                a, b, c = polygon[piece[0]], polygon[piece[1]], polygon[piece[2]]
-                if a != b and b != c and a != c:
-                    triangles[made, 0], triangles[made, 1], triangles[made, 2] = a, b, c
-                    record[made] = k
-                    made += 1
         start += n
     return triangles[:made], record[:made]

@@ -135,31 +135,3 @@ def entry(box, ox, oy, oz, inverse, best):
     if high * (1.0 + 1e-6) + 1e-9 < max(low, 0.0) or low > best:
         return np.inf
     return max(low, 0.0)
-
-
-@njit(cache=True, nogil=True)
-def cone_averages(lengths, weights):
-    """Robust mean of the finite ``lengths`` (P, R): (mean (P,), share of the rays' weight that hit (P,)).
-
-    Lengths farther than one standard deviation from the median are left out (Shapira 2008, 3.1).
-    """
-    n, rays = lengths.shape
-    mean = np.zeros(n)
-    share = np.zeros(n)
-    total = weights.sum()
-    for i in range(n):
-        hit = lengths[i][np.isfinite(lengths[i])]
-        if len(hit) == 0:
-            continue
-        middle = np.median(hit)
-        spread = np.std(hit)
-        above = below = 0.0
-        for r in range(rays):
-            x = lengths[i, r]
-            if np.isfinite(x):
-                share[i] += weights[r] / total
-                if abs(x - middle) <= spread + 1e-12:
-                    above += weights[r] * x
-                    below += weights[r]
-        mean[i] = above / below if below > 0 else middle
-    return mean, share

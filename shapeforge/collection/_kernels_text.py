@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-NEWLINE, SPACE, HASH = 10, 32, 35
+NEWLINE, SPACE, HASH, LETTER_F, LETTER_V = 10, 32, 35, 102, 118
 POWERS = 10.0 ** np.arange(23)  # all exact in binary64
-OK, BAD_NUMBER, SHORT_VERTEX, BAD_CORNER, BAD_INDEX = 0, 1, 2, 3, 4
+OK, SHORT_VERTEX, BAD_CORNER, BAD_INDEX = 0, 1, 2, 3
 
 
 @njit(cache=True, nogil=True)
@@ -101,12 +101,8 @@ def parse_decimal(text, i, end):
 
 
 @njit(cache=True, nogil=True)
-def parse_numbers(text, start):
-    """Every token from ``start`` on as a number; ``#`` starts a comment.
-
-    Returns values (n,), line of each value counted from 0 at ``start`` (n,), and rows (value, from, to) of the
-    tokens that ``float()`` must read.
-    """
+def count_tokens(text, start):
+    """Number of tokens from ``start`` on; ``#`` starts a comment."""
     n = len(text)
     count = 0
     i = start
@@ -118,10 +114,17 @@ def parse_numbers(text, start):
         else:
             count += 1
             i = token_end(text, i)
-    values = np.empty(count)
-    lines = np.empty(count, np.int64)
-    hard = np.empty((64, 3), np.int64)
-    n_hard = 0
+    return count
+
+
+@njit(cache=True, nogil=True)
+def parse_numbers(text, start, values, lines, hard):
+    """Every token from ``start`` on as a number into ``values`` (n,), n = ``count_tokens``.
+
+    ``lines`` (n,) is the line of each, counted from 0 at ``start``; ``hard`` (n,) where a token begins that ``float()``
+    must read, else -1.
+    """
+    n = len(text)
     line = 0
     at = 0
     i = start
@@ -138,97 +141,84 @@ def parse_numbers(text, start):
             end = token_end(text, i)
             values[at], state = parse_decimal(text, i, end)
             lines[at] = line
-            if state:
-                if n_hard == len(hard):
-                    grown = np.empty((2 * n_hard, 3), np.int64)
-                    grown[:n_hard] = hard
-                    hard = grown
-                hard[n_hard, 0], hard[n_hard, 1], hard[n_hard, 2] = at, i, end
-                n_hard += 1
+            hard[at] = i if state else -1
             at += 1
             i = end
-    return values, lines, hard[:n_hard]
 
 
 @njit(cache=True, nogil=True)
-def parse_obj(text):
-    """Vertices and face records of an OBJ text.
-
-    Returns vertices (V, 3), corners (C,) as vertex indices from 0, counts (F,) of corners per record, hard tokens
-    (rows value, from, to), and an error (code, line from 1).  Indices are not yet checked against V.
-    """
+def count_obj(text):
+    """(vertices, faces, corners) that the lines of an OBJ text announce."""
     n = len(text)
     n_vertices = n_faces = n_corners = 0
     i = 0
     while i < n:
         i = skip_blanks(text, i)
         if i + 1 < n and text[i + 1] <= SPACE:
-            if text[i] == 118:
+            if text[i] == LETTER_V:
                 n_vertices += 1
-            elif text[i] == 102:
+            elif text[i] == LETTER_F:
                 n_faces += 1
-                i += 1
-                while True:
-                    i = skip_blanks(text, i)
-                    if i >= n or text[i] == NEWLINE:
-                        break
+                i = skip_blanks(text, i + 1)
+                while i < n and text[i] != NEWLINE:
                     n_corners += 1
-                    i = token_end(text, i)
+                    i = skip_blanks(text, token_end(text, i))
         i = next_line(text, i)
-    vertices = np.empty((n_vertices, 3))
-    corners = np.empty(n_corners, np.int64)
-    counts = np.empty(n_faces, np.int64)
-    hard = np.empty((64, 3), np.int64)
-    n_hard = v = f = c = line = 0
-    i = 0
-    while i < n:
+    return n_vertices, n_faces, n_corners
+
+
+@njit(cache=True, nogil=True)
+def parse_obj(text, vertices, hard, corners, counts):
+    """Fill vertices (3 V,), corners (C,) as vertex numbers from 0 and counts (F,) of corners per record.
+
+    ``hard`` (3 V,) as in ``parse_numbers``.  Returns an error code and its line (from 1), and how many corners there
+    are: comments at the end of a line make it fewer than announced.  Indices are not yet checked against V.
+    """
+    n = len(text)
+    v = f = c = line = i = 0
+    error = OK
+    while i < n and error == OK:
         line += 1
         i = skip_blanks(text, i)
-        if i + 1 < n and text[i + 1] <= SPACE and (text[i] == 118 or text[i] == 102):
-            is_vertex = text[i] == 118
+        letter = text[i] if i + 1 < n and text[i + 1] <= SPACE else 0
+        if letter == LETTER_V:
             i += 1
-            if is_vertex:
-                for axis in range(3):
-                    i = skip_blanks(text, i)
-                    if i >= n or text[i] == NEWLINE or text[i] == HASH:
-                        return vertices[:v], corners[:c], counts[:f], hard[:n_hard], SHORT_VERTEX, line
-                    end = token_end(text, i)
-                    vertices[v, axis], state = parse_decimal(text, i, end)
-                    if state:
-                        if n_hard == len(hard):
-                            grown = np.empty((2 * n_hard, 3), np.int64)
-                            grown[:n_hard] = hard
-                            hard = grown
-                        hard[n_hard, 0], hard[n_hard, 1], hard[n_hard, 2] = 3 * v + axis, i, end
-                        n_hard += 1
-                    i = end
+            for _ in range(3):
+                i = skip_blanks(text, i)
+                if i >= n or text[i] == NEWLINE or text[i] == HASH:
+                    error = SHORT_VERTEX
+                    break
+                end = token_end(text, i)
+                vertices[v], state = parse_decimal(text, i, end)
+                hard[v] = i if state else -1
                 v += 1
-            else:
-                first = c
-                while True:
-                    i = skip_blanks(text, i)
-                    if i >= n or text[i] == NEWLINE or text[i] == HASH:
-                        break
-                    negative = text[i] == 45
-                    if negative or text[i] == 43:
-                        i += 1
-                    index = 0
-                    digits = 0
-                    while i < n and 48 <= text[i] <= 57 and digits < 18:
-                        index = index * 10 + (text[i] - 48)
-                        digits += 1
-                        i += 1
-                    if digits == 0 or (i < n and text[i] > SPACE and text[i] != 47):
-                        return vertices[:v], corners[:c], counts[:f], hard[:n_hard], BAD_CORNER, line
-                    corners[c] = v - index if negative else index - 1
-                    if index == 0 or corners[c] < 0:
-                        return vertices[:v], corners[:c], counts[:f], hard[:n_hard], BAD_INDEX, line
-                    c += 1
-                    i = token_end(text, i)
-                counts[f] = c - first
-                f += 1
+                i = end
+        elif letter == LETTER_F:
+            first = c
+            i = skip_blanks(text, i + 1)
+            while i < n and text[i] != NEWLINE and text[i] != HASH:
+                sign = -1 if text[i] == 45 else 1
+                if text[i] == 45 or text[i] == 43:
+                    i += 1
+                index = 0
+                digits = 0
+                while i < n and 48 <= text[i] <= 57 and digits < 18:
+                    index = index * 10 + (text[i] - 48)
+                    digits += 1
+                    i += 1
+                corners[c] = v // 3 - index if sign < 0 else index - 1
+                if digits == 0 or (i < n and text[i] > SPACE and text[i] != 47):
+                    error = BAD_CORNER
+                    break
+                if index == 0 or corners[c] < 0:
+                    error = BAD_INDEX
+                    break
+                c += 1
+                i = skip_blanks(text, token_end(text, i))
+            counts[f] = c - first
+            f += 1
         i = next_line(text, i)
-    return vertices[:v], corners[:c], counts[:f], hard[:n_hard], OK, line
+    return error, line, c
 
 
 @njit(cache=True, nogil=True)

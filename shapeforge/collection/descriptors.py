@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 
 from shapeforge.collection import _kernels as kernels
-from shapeforge.collection import _kernels_rays as ray_kernels
 from shapeforge.collection.points import nearest_neighbours, neighbour_pairs
 from shapeforge.collection.rays import first_hits
 from shapeforge.collection.shape import Mesh
@@ -98,7 +97,7 @@ def shape_diameter(
     origins = points[:, None, None] + START * directions
     reach = first_hits(mesh, origins.reshape(-1, 3), directions.reshape(-1, 3), embree=embree)
     lengths = reach.reshape(2 * len(points), len(weights)) + START
-    mean, share = (x.reshape(-1, 2) for x in ray_kernels.cone_averages(lengths, weights))
+    mean, share = (x.reshape(-1, 2) for x in _cone_averages(lengths, weights))
 
     vote = share[:, 0] - share[:, 1]
     vote = vote + 0.05 * (np.sign(vote.sum()) or 1.0)
@@ -156,7 +155,7 @@ def local_shape(points: Float[np.ndarray, "P 3"], radii: tuple[float, ...] = PCA
     columns = []
     for radius in radii:
         # neighbourhoods grow with the square of the radius: every fourth point tells as much about twice the radius
-        thinned = points[:: max(1, round((radius / radii[0]) ** 2 / 1.6))]
+        thinned = np.ascontiguousarray(points[:: max(1, round((radius / radii[0]) ** 2 / 1.6))])
         six = kernels.local_covariances(points, thinned, radius)
         values = np.maximum(np.linalg.eigvalsh(six[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)), 0.0)
         columns.append(np.sqrt(values[:, 1::-1] / np.maximum(values[:, 2:], 1e-300)))
@@ -177,6 +176,24 @@ def _cone() -> tuple[np.ndarray, np.ndarray]:
     quarter = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
     mirrors = np.array([[1, 1, 1], [-1, 1, 1], [1, -1, 1], [-1, -1, 1]])
     return (mirrors[:, None] * quarter).reshape(-1, 3), np.tile(1 / np.arccos(height), 4)
+
+
+def _cone_averages(lengths: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Robust mean of the finite ``lengths`` (n, R): (mean (n,), share of the rays' weight that hit (n,)).
+
+    Lengths farther than one standard deviation from the median are left out (Shapira 2008, 3.1).
+    """
+    hit = np.isfinite(lengths)
+    count = np.maximum(hit.sum(axis=1), 1)
+    ordered = np.sort(lengths, axis=1)  # misses last
+    rows = np.arange(len(lengths))
+    median = ((ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]) / 2)[:, None]
+    known = np.where(hit, lengths, 0.0)
+    mean = known.sum(axis=1) / count
+    variance = (np.where(hit, known - mean[:, None], 0.0) ** 2).sum(axis=1) / count
+    near = hit & (np.abs(known - np.where(np.isfinite(median), median, 0.0)) <= np.sqrt(variance)[:, None] + 1e-12)
+    kept = near @ weights
+    return (near * known) @ weights / np.maximum(kept, 1e-300), hit @ weights / weights.sum()
 
 
 def _agreement(normals: np.ndarray, neighbours: np.ndarray) -> np.ndarray:

@@ -53,8 +53,9 @@ def _spread_out(points: np.ndarray, normals: np.ndarray, n_points: int, area: fl
     scaled = (points - points.min(axis=0)) / radius
     # without quotas, surfaces that lie close above each other would count as one and lose half their points
     group = np.arange(len(points)) // (CANDIDATES_PER_POINT * QUOTA)
-    quota = np.bincount(group) // CANDIDATES_PER_POINT
-    return kernels.eliminate(*kernels.crowding_pairs(scaled, normals, 1.0), group, quota)
+    size = np.bincount(group)
+    surplus = size - size // CANDIDATES_PER_POINT
+    return kernels.eliminate(*kernels.crowding_pairs(scaled, normals, 1.0), group, surplus)
 
 
 def nearest_neighbours(points: Float[np.ndarray, "P 3"], k: int) -> Int[np.ndarray, "P k"]:

@@ -43,19 +43,33 @@ class Records:
     counts: Int[np.ndarray, " F"]
 
 
-def _settle(path: Path, text: np.ndarray, values: np.ndarray, hard: np.ndarray) -> None:
-    """Fill ``values`` where the quick number parser passed the token on; not a number at all is an error."""
-    for index, begin, end in hard:
-        token = text[begin:end].tobytes()
+TOKEN = re.compile(rb"[^\0- ]+")
+
+
+def _settle(path: Path, data: bytes, values: np.ndarray, hard: np.ndarray) -> None:
+    """Fill ``values`` where the quick parser passed on the token at ``hard``; not a number at all is an error."""
+    for index in np.flatnonzero(hard >= 0):
+        found = TOKEN.match(data, int(hard[index]))
+        token = found.group() if found else b""
         try:
             if b"_" in token:  # float() would take 1_000
                 raise ValueError
             values[index] = float(token)
         except ValueError:
             word = token[:40].decode("latin-1")
-            line = int(np.count_nonzero(text[:begin] == kernels.NEWLINE)) + 1
+            line = data.count(b"\n", 0, int(hard[index])) + 1
             comma = "Write decimals with a dot, not a comma" if "," in word else EXPORT_AGAIN
             raise MeshError(path, f"line {line} has {word!r} where a number should be", comma) from None
+
+
+def _numbers(path: Path, data: bytes, start: int) -> tuple[np.ndarray, np.ndarray]:
+    """Every number from ``start`` on (n,), and the line of each (n,), from 0."""
+    text = np.frombuffer(data, np.uint8)
+    n = kernels.count_tokens(text, start)
+    values, lines, hard = np.empty(n), np.empty(n, np.int64), np.empty(n, np.int64)
+    kernels.parse_numbers(text, start, values, lines, hard)
+    _settle(path, data, values, hard)
+    return values, lines
 
 
 def _plain_text(path: Path, data: bytes) -> bytes:
@@ -75,17 +89,20 @@ def read_obj(path: Path, data: bytes) -> Records:
     if b"\\" in data:  # a line goes on in the next
         data = data.replace(b"\\\r\n", b"  ").replace(b"\\\n", b"  ")
     text = np.frombuffer(data, np.uint8)
-    vertices, corners, counts, hard, error, line = kernels.parse_obj(text)
+    n_vertices, n_faces, n_corners = kernels.count_obj(text)
+    if n_vertices == 0 and n_faces == 0:
+        raise MeshError(path, "no vertices and no faces: this is no OBJ text", "Check that the ending .obj is right")
+    vertices, hard = np.empty(3 * n_vertices), np.full(3 * n_vertices, -1)
+    corners, counts = np.empty(n_corners, np.int64), np.empty(n_faces, np.int64)
+    error, line, n_corners = kernels.parse_obj(text, vertices, hard, corners, counts)
     if error == kernels.SHORT_VERTEX:
         raise MeshError(path, f"line {line}: a vertex with fewer than 3 coordinates", CUT_SHORT)
     if error == kernels.BAD_CORNER:
         raise MeshError(path, f"line {line}: a face corner that is no vertex number", EXPORT_AGAIN)
     if error == kernels.BAD_INDEX:
         raise MeshError(path, f"line {line}: a face uses a vertex that does not exist", EXPORT_AGAIN)
-    _settle(path, text, vertices.reshape(-1), hard)
-    if len(vertices) == 0 and len(counts) == 0:
-        raise MeshError(path, "no vertices and no faces: this is no OBJ text", "Check that the ending .obj is right")
-    return Records(vertices, corners, counts)
+    _settle(path, data, vertices, hard)
+    return Records(vertices.reshape(-1, 3), corners[:n_corners], counts)
 
 
 # comments and blank lines, then the keyword; counts may follow on the same line, even without a blank (ModelNet)
@@ -102,9 +119,7 @@ def read_off(path: Path, data: bytes) -> Records:
     keyword = OFF_KEYWORD.match(data)
     if keyword is None and not OFF_WITHOUT_KEYWORD.match(data):
         raise MeshError(path, "it does not begin with OFF", "Check that the ending .off is right")
-    text = np.frombuffer(data, np.uint8)
-    values, lines, hard = kernels.parse_numbers(text, keyword.end() if keyword else 0)
-    _settle(path, text, values, hard)
+    values, lines = _numbers(path, data, keyword.end() if keyword else 0)
     if len(values) < 2:
         raise MeshError(path, "the numbers of vertices and faces are missing", CUT_SHORT)
     n_vertices, n_faces = _count(path, values[0]), _count(path, values[1])
@@ -198,10 +213,7 @@ def read_ply(path: Path, data: bytes) -> Records:
     """Records of a PLY file: text or binary of either byte order, any properties, any further elements."""
     layout, elements, start = _ply_header(path, data)
     if layout == "ascii":
-        text = np.frombuffer(data, np.uint8)
-        numbers, _, hard = kernels.parse_numbers(text, start)
-        _settle(path, text, numbers, hard)
-        start = 0
+        numbers, start = _numbers(path, data, start)[0], 0
     else:
         numbers = np.frombuffer(data, np.uint8)
     vertices, corners, counts = np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.int64)
