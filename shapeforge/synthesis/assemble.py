@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import vstack
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from shapeforge.collection.shape import Mesh
 from shapeforge.collection.surface import closest_points
@@ -23,7 +24,11 @@ ANCHOR_STRENGTH = 20.0
 FALLOFF = 0.12
 """Drawn points move along with an anchor up to about this distance (diagonals), so that the part bends and doesn't kink."""
 OWN_MAP = 24
-"""A connected component with at least so many handles is pre-aligned by itself: four legs spread without growing fat."""
+"""A piece with at least so many handles is pre-aligned by itself: four legs spread without growing fat."""
+SLACK = 0.003
+"""An anchor may be so much (diagonals) farther from the other part than it was on its training shape."""
+FARTHEST_CONTACT = 0.06
+"""Parts that only one training shape or most others join are left apart if the draw sets them farther apart than this."""
 CONTACT_ROUNDS = 2
 
 
@@ -101,7 +106,7 @@ def synthesize(
 
 
 def start_part(source: SourcePart, points: Float[np.ndarray, "K 3"]) -> BentPart | None:
-    """The part under its affine pre-alignment, each larger connected component under its own; None without targets."""
+    """The part under its affine pre-alignment, each larger piece under its own; None without targets."""
     known = np.isfinite(points[source.template]).all(axis=1)
     if not known.any():
         return None
@@ -111,14 +116,14 @@ def start_part(source: SourcePart, points: Float[np.ndarray, "K 3"]) -> BentPart
     rest = np.broadcast_to(matrix, (len(nodes), 3, 3)).copy()
     moved = nodes @ matrix.T + offset
     vertex = cKDTree(source.vertices)
-    component_of_handle = source.component[vertex.query(source.handles)[1]]
-    component_of_node = source.component[vertex.query(nodes)[1]]
-    for c in np.unique(component_of_node):
-        own = known & (component_of_handle == c)
+    piece_of_handle = source.piece[vertex.query(source.handles)[1]]
+    piece_of_node = source.piece[vertex.query(nodes)[1]]
+    for c in np.unique(piece_of_node):
+        own = known & (piece_of_handle == c)
         if own.sum() >= OWN_MAP and own.sum() < known.sum():
             own_matrix, own_offset = pre_align(source.handles[own], targets[own])
-            rest[component_of_node == c] = own_matrix
-            moved[component_of_node == c] = nodes[component_of_node == c] @ own_matrix.T + own_offset
+            rest[piece_of_node == c] = own_matrix
+            moved[piece_of_node == c] = nodes[piece_of_node == c] @ own_matrix.T + own_offset
     x = np.concatenate([rest.transpose(0, 2, 1), moved[:, None]], axis=1).reshape(-1, 3)
     return BentPart(source, targets, targets, rest, x, x)
 
@@ -144,51 +149,92 @@ def bend(part: BentPart, held: Mapping[int, np.ndarray], *, preview: bool) -> Be
 
 
 def carry_along(part: BentPart, held: Mapping[int, np.ndarray]) -> BentPart:
-    """The part with its targets shifted as the nearest held vertex is, fading out over FALLOFF."""
+    """The part with its targets shifted as its held vertices are, piece by piece.
+
+    A piece that can follow by stretching (the shift points along the way from the contact to its middle, as at the top of
+    a leg) does so: the shift fades out over FALLOFF.  One that would have to bend or shear is carried as a whole.
+    """
     if not held:
         return part
+    source = part.source
     vertices = np.fromiter(held, np.int64)
-    shift = np.stack([held[v] for v in held]) - part.source.rows[vertices] @ part.x
-    distance, nearest = cKDTree(part.source.vertices[vertices]).query(part.source.handles)
-    fade = np.exp(-0.5 * (distance / FALLOFF) ** 2)
-    return replace(part, targets=part.targets + fade[:, None] * shift[nearest])
+    here = source.rows[vertices] @ part.x
+    shifts = np.stack([held[v] for v in held]) - here
+    handles = source.handle_rows @ part.x
+    piece_of_handle = source.piece[cKDTree(source.vertices).query(source.handles)[1]]
+    targets = part.targets.copy()
+    for piece in np.unique(source.piece[vertices]):
+        own, at = piece_of_handle == piece, source.piece[vertices] == piece
+        if not own.any():
+            continue
+        stretch = _stretchiness(handles[own], here[at], shifts[at])
+        distance = cdist(handles[own], here[at])
+        weight = 1 / (distance**2 + (FALLOFF / 3) ** 2)
+        shift = weight @ shifts[at] / weight.sum(axis=1, keepdims=True)
+        fade = 1 - stretch * (1 - np.exp(-0.5 * (distance.min(axis=1) / FALLOFF) ** 2))
+        targets[own] += fade[:, None] * shift
+    return replace(part, targets=targets)
+
+
+def _stretchiness(points: np.ndarray, anchors: np.ndarray, shifts: np.ndarray) -> float:
+    """0 (moving the anchors by ``shifts`` bends a piece with these points, or only moves it) to 1 (it stretches)."""
+    direction = shifts.mean(axis=0)
+    length = float(np.linalg.norm(direction))
+    reach = float(np.linalg.norm(np.ptp(points, axis=0))) / 2
+    if length < 1e-9 or reach < 1e-9:
+        return 0.0
+    along = abs(float((points.mean(axis=0) - anchors.mean(axis=0)) @ direction)) / length
+    return min(1.0, along / reach)
 
 
 def choose_contacts(bent: Mapping[int, BentPart], touching: Float[np.ndarray, "L L"]) -> list[tuple[int, int]]:
-    """Pairs of present parts that should touch: both training parts touched the other, or one did and most shapes do."""
+    """Pairs of present parts that should touch: both training parts touched the other, or one did and most shapes do.
+
+    In the second case only if the draw has them near: a T-tail rests on the fin, whatever most tailplanes do.
+    """
     pairs = []
     for l in bent:
         for other in bent:
             if l < other:
-                told = (other in bent[l].source.anchors) + (l in bent[other].source.anchors)
-                if told == 2 or (told == 1 and touching[l, other] >= 0.5):
+                told = [way for way in ((l, other), (other, l)) if way[1] in bent[way[0]].source.anchors]
+                if len(told) == 2 or (len(told) == 1 and touching[l, other] >= 0.5 and _near(bent, *told[0])):
                     pairs.append((l, other))
     return pairs
+
+
+def _near(bent: Mapping[int, BentPart], l: int, other: int) -> bool:
+    anchors = bent[l].source.rows[bent[l].source.anchors[other][0]] @ bent[l].x
+    return bool(closest_points(bent[other].surface, anchors)[2].min() <= FARTHEST_CONTACT)
 
 
 def hold_contacts(
     bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]
 ) -> dict[int, dict[int, np.ndarray]]:
-    """Where each part's anchors should go: {part: {vertex: position}}.
+    """Where the anchors that came loose should go: {part: {vertex: position}}.
 
-    Of the two parts of a contact that one moves whose anchors are nearer to the other's surface already: the top ends of
-    other legs may sit anywhere under a seat, but a corner of the seat should not reach out for them.
+    Loose means farther from the other part than on the training shape, so a leg let into its seat stays as deep.  Of the two parts of a contact that one moves whose anchors are nearer to the other's surface (the top ends of
+    other legs may sit anywhere under a seat, but a corner of the seat should not reach out for them), and rather one that
+    stretches than one that bends: the fin reaches up to the tailplane, the tailplane does not sag onto the fin.
     """
-    wanted: dict[tuple[int, int], tuple[np.ndarray, float]] = {}
+    loose: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, float]] = {}
     for other, piece in bent.items():
         asking = [sum(pair) - other for pair in contacts if other in pair]
         asking = [l for l in asking if other in bent[l].source.anchors]
         if not asking:
             continue
-        anchors = [(bent[l].source.rows[bent[l].source.anchors[other]]) @ bent[l].x for l in asking]
-        position, _, distance = closest_points(piece.surface, np.concatenate(anchors))
-        ends = np.cumsum([len(a) for a in anchors])[:-1]
-        for l, p, d in zip(asking, np.split(position, ends), np.split(distance, ends), strict=True):
-            wanted[l, other] = p, float(d.mean())
+        places = [bent[l].source.rows[bent[l].source.anchors[other][0]] @ bent[l].x for l in asking]
+        position, _, distance = closest_points(piece.surface, np.concatenate(places))
+        ends = np.cumsum([len(p) for p in places])[:-1]
+        for l, q, p, d in zip(asking, places, np.split(position, ends), np.split(distance, ends), strict=True):
+            vertices, before = bent[l].source.anchors[other]
+            far = d > before + SLACK
+            bending = 2.0 - _stretchiness(bent[l].vertices, q, p - q)
+            loose[l, other] = vertices[far], p[far], bending * float(d.mean())
     held: dict[int, dict[int, np.ndarray]] = {l: {} for l in bent}
     for pair in contacts:
-        l, other = min((way for way in (pair, pair[::-1]) if way in wanted), key=lambda way: wanted[way][1])
-        held[l].update(zip(bent[l].source.anchors[other].tolist(), wanted[l, other][0], strict=True))
+        l, other = min((way for way in (pair, pair[::-1]) if way in loose), key=lambda way: loose[way][2])
+        vertices, positions, _ = loose[l, other]
+        held[l].update(zip(vertices.tolist(), positions, strict=True))
     return held
 
 
@@ -228,7 +274,7 @@ def _gaps(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]], part_na
     gaps = {}
     for pair in contacts:
         found = [
-            gap(surfaces[l].vertices, surfaces[l].triangles, bent[l].source.anchors[other], surfaces[other])
+            gap(surfaces[l].vertices, surfaces[l].triangles, *bent[l].source.anchors[other], surfaces[other])
             for l, other in (pair, pair[::-1])
             if other in bent[l].source.anchors
         ]

@@ -19,6 +19,8 @@ UNEXPLAINED = 0.2
 FAR = 0.05
 MISPLACED = 0.03
 FEWEST_TRIANGLES = 8
+CONTACT_REACH = 0.06
+"""A part holds on if it touches within this distance (diagonals) of its anchors."""
 
 
 @dataclass(frozen=True)
@@ -117,17 +119,25 @@ def _lengths(position: np.ndarray, ends: np.ndarray) -> np.ndarray:
 
 
 def gap(
-    vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"], anchors: Int[np.ndarray, " A"], other: Mesh
+    vertices: Float[np.ndarray, "V 3"],
+    triangles: Int[np.ndarray, "N 3"],
+    anchors: Int[np.ndarray, " A"],
+    before: Float[np.ndarray, " A"],
+    other: Mesh,
 ) -> float:
-    """Widest distance (same units) from a piece of a part to the part it should touch.
+    """Widest new distance (diagonals) from a component of a part, about its anchors, to the part it should touch.
 
-    A piece is a connected component that holds an anchor: one leg of four in the air is a gap, though three stand fast.
+    Measured for each connected component that holds an anchor (one leg of four in the air is a gap, though three stand
+    fast), less the distance ``before`` that its nearest anchor had on the training shape.
     """
     component = vertex_components(len(vertices), triangles)
-    holds = np.flatnonzero(np.isin(component, component[anchors]))
-    distance = np.full(component.max() + 1, np.inf)
+    around = cKDTree(vertices[anchors]).query(vertices, distance_upper_bound=CONTACT_REACH)[0] < np.inf
+    holds = np.flatnonzero(around & np.isin(component, component[anchors]))
+    distance, allowed = np.full((2, component.max() + 1), np.inf)
     np.minimum.at(distance, component[holds], closest_points(other, vertices[holds])[2])
-    return float(distance[component[anchors]].max())
+    np.minimum.at(allowed, component[anchors], before)
+    held = np.unique(component[anchors])
+    return float(np.maximum(distance[held] - allowed[held], 0).max())
 
 
 def symmetry_error(points: Float[np.ndarray, "P 3"]) -> float:

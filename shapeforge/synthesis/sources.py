@@ -16,15 +16,17 @@ from shapeforge.collection.shape import Shape
 from shapeforge.collection.surface import closest_points
 from shapeforge.synthesis.embedded import DeformationGraph, build_graph
 from shapeforge.synthesis.measures import PartQuality, part_quality
-from shapeforge.synthesis.surfaces import as_mesh, cut_out, farthest_points, subdivide_long_edges, vertex_components
+from shapeforge.synthesis.surfaces import as_mesh, cut_out, farthest_points, subdivide_long_edges, touching_pieces
 
+FEWEST_POINTS = 6
+"""Corresponding points that a part needs on a shape, or it counts as absent there."""
 EDGE_LENGTH = 0.05
 """Longest edge (diagonals) left in a part before it is bent."""
 TRIANGLE_LIMIT = 12_000
 """Edges of a part are split only while it keeps at most so many triangles."""
 CONTACT = 0.01
 """Surface of another part nearer than this (diagonals) counts as touching ..."""
-NEAR_CONTACT = 0.03
+NEAR_CONTACT = 0.015
 """... and where nothing does, the nearest surface up to this distance."""
 ANCHORS = 12
 """Points at which a part holds on to each part it touches."""
@@ -36,22 +38,22 @@ class SourcePart:
 
     ``handles`` (C, 3) are the surface points that correspond to the template points ``template`` (C,);
     ``rows`` (V, 4N) and ``handle_rows`` (C, 4N) are the bases of vertices and handles in ``graph``;
-    ``component`` numbers the connected component of each vertex;
-    ``anchors`` maps another part to the vertices at which this one touches it.
+    ``piece`` numbers the pieces of the part: connected components, those that touch counted as one;
+    ``anchors`` maps another part to the vertices at which this one touches it and their distances from it.
     """
 
     shape: str
     part: int
     vertices: Float[np.ndarray, "V 3"]
     triangles: Int[np.ndarray, "N 3"]
-    component: Int[np.ndarray, " V"]
+    piece: Int[np.ndarray, " V"]
     template: Int[np.ndarray, " C"]
     handles: Float[np.ndarray, "C 3"]
     graph: DeformationGraph
     rows: csr_array
     handle_rows: csr_array
     quality: PartQuality
-    anchors: Mapping[int, np.ndarray] = field(default_factory=dict)
+    anchors: Mapping[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,8 +122,7 @@ def make_sources(
     if len(part) and (part.min() < 0 or part.max() >= n_parts):
         raise ValueError(f"part: wanted indices 0..{n_parts - 1}, got {part.min()}..{part.max()}.")
     present = np.isfinite(positions).all(axis=2)
-    exists = np.stack([present[:, part == l].mean(axis=1) > 0.5 if (part == l).any() else np.zeros(len(names), bool)
-                       for l in range(n_parts)], axis=1)  # fmt: skip
+    exists = np.stack([present[:, part == l].sum(axis=1) >= FEWEST_POINTS for l in range(n_parts)], axis=1)
     touching = _touching(positions, present & exists[:, part], part, n_parts)
     return Sources(tuple(names), positions, exists, part, tuple(part_names), touching, get_shape, face_labels)
 
@@ -177,7 +178,7 @@ def read_parts(
         handles = np.asarray(positions[template], float)
         graph = build_graph(vertices)
         found[l] = SourcePart(
-            shape.name, l, vertices, triangles, vertex_components(len(vertices), triangles), template, handles, graph,
+            shape.name, l, vertices, triangles, touching_pieces(vertices, triangles), template, handles, graph,
             graph.basis(vertices), graph.basis(handles),
             part_quality(mesh, label, l, vertices, triangles, handles),
         )  # fmt: skip
@@ -185,9 +186,9 @@ def read_parts(
     return {l: replace(source, anchors=anchors[l]) for l, source in found.items()}
 
 
-def _find_anchors(parts: Mapping[int, SourcePart]) -> dict[int, dict[int, np.ndarray]]:
+def _find_anchors(parts: Mapping[int, SourcePart]) -> dict[int, dict[int, tuple[np.ndarray, np.ndarray]]]:
     """For each part and each other one that it touches, up to ANCHORS vertices of the contact, spread over it."""
-    anchors: dict[int, dict[int, np.ndarray]] = {l: {} for l in parts}
+    anchors: dict[int, dict[int, tuple[np.ndarray, np.ndarray]]] = {l: {} for l in parts}
     for other, surface in parts.items():
         asking = [l for l in parts if l != other]
         if not asking:
@@ -198,5 +199,6 @@ def _find_anchors(parts: Mapping[int, SourcePart]) -> dict[int, dict[int, np.nda
         for l, distance in zip(asking, np.split(distances, ends), strict=True):
             if distance.min() <= NEAR_CONTACT:
                 close = np.flatnonzero(distance <= max(CONTACT, float(distance.min()) + 0.005))
-                anchors[l][other] = close[farthest_points(parts[l].vertices[close], ANCHORS)]
+                chosen = close[farthest_points(parts[l].vertices[close], ANCHORS)]
+                anchors[l][other] = chosen, distance[chosen]
     return anchors

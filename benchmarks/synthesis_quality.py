@@ -1,0 +1,214 @@
+"""How good are the meshes made from draws?  Generated families with their true correspondences, so that only synthesis is judged.
+
+    python -m benchmarks.synthesis_quality [--family chairs] [--count 40] [--draws 20] [--seed 0] [--json]
+
+Two kinds of draws: ``between`` lies half-way between two training shapes with the same parts, ``held out`` is a shape that
+the sources don't contain; both with Gaussian noise on every point, as a generative model would leave it.  Lengths are in
+bounding-box diagonals.  The last line is one JSON object.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from threadpoolctl import threadpool_info
+
+from shapeforge.collection.families import Generated, address_at, generate, position_of
+from shapeforge.collection.points import sample_points
+from shapeforge.collection.prepare import normal_frame
+from shapeforge.collection.shape import Mesh, Shape
+from shapeforge.collection.surface import closest_points
+from shapeforge.synthesis.assemble import SynthesizedShape, synthesize
+from shapeforge.synthesis.measures import symmetry_error
+from shapeforge.synthesis.sources import FEWEST_POINTS, Sources, make_sources
+from shapeforge.synthesis.surfaces import as_mesh
+from shapeforge.validation.plausibility import chamfer, plausibility
+from shapeforge.validation.statistics import format_table
+
+ADDRESS_TOLERANCE = 0.15
+NOISE = 0.004
+
+
+@dataclass(frozen=True, eq=False)
+class TrueFamily:
+    """Shapes of a generated family, their labels, and true corresponding points (T, K, 3), NaN where absent."""
+
+    shapes: tuple[Shape, ...]
+    faces: tuple[np.ndarray, ...]
+    positions: np.ndarray
+    part: np.ndarray
+    part_names: tuple[str, ...]
+
+    def sources(self, chosen: np.ndarray) -> Sources:
+        """Sources of the chosen shapes."""
+        return make_sources(
+            [self.shapes[i].name for i in chosen], lambda i: self.shapes[chosen[i]],
+            [self.faces[i] for i in chosen], self.positions[chosen], self.part, self.part_names,
+        )  # fmt: skip
+
+    def exists(self, index: int) -> np.ndarray:
+        """Which parts a shape has."""
+        present = np.isfinite(self.positions[index, :, 0])
+        return np.array([present[self.part == l].sum() >= FEWEST_POINTS for l in range(len(self.part_names))])
+
+
+def bare_shape(generated: Generated) -> Shape:
+    """A shape in normal coordinates with mesh and name only: synthesis asks for nothing else."""
+    frame = normal_frame(generated.mesh, np.eye(3))
+    mesh = generated.mesh.moved(frame.to_normal(generated.mesh.vertices))
+    none, nothing = np.zeros((0, 3)), np.zeros(0, np.int32)
+    return Shape(
+        generated.name, mesh, frame, none, none, nothing, nothing, np.zeros((0, 10)), nothing, np.zeros((0, 20), np.int32)
+    )
+
+
+def true_family(family: str, count: int, *, seed: int, n_points: int = 1500) -> TrueFamily:
+    """``count`` generated shapes with about ``n_points`` corresponding points, spread by area over their components."""
+    made = generate(family, count, seed=seed, broken=0.0)
+    shapes = tuple(bare_shape(g) for g in made)
+    rng = np.random.default_rng(seed)
+    n_components = len(made[0].component_names)
+    component = [g.address[:, 0, 0].astype(int) for g in made]
+    area = np.stack([np.bincount(c, s.mesh.triangle_areas, n_components)
+                     for c, s in zip(component, shapes, strict=True)])  # fmt: skip
+    total = np.array([area[area[:, c] > 0, c].mean() if area[:, c].any() else 0.0 for c in range(n_components)])
+    positions, part = [], []
+    for c in np.flatnonzero(total):
+        n = max(16, round(n_points * float(total[c]) / total.sum()))
+        model = int(area[:, c].argmax())  # the largest specimen shows the most addresses
+        mesh, triangles = shapes[model].mesh, np.flatnonzero(component[model] == c)
+        piece = Mesh(mesh.vertices, mesh.triangles[triangles], np.arange(len(triangles)), len(triangles))
+        points, _, triangle = sample_points(piece, n, rng=rng)
+        address = address_at(made[model], triangles[triangle], _weights(piece, points, triangle))[1]
+        found = np.full((count, n, 3), np.nan)
+        for t, (g, shape) in enumerate(zip(made, shapes, strict=True)):
+            places, away = position_of(g, int(c), address)
+            near = away <= ADDRESS_TOLERANCE
+            found[t, near] = shape.frame.to_normal(places[near])
+        positions.append(found)
+        part += [int(made[model].faces[mesh.face_of_triangle[triangles[0]]])] * n
+    return TrueFamily(
+        shapes, tuple(g.faces for g in made), np.concatenate(positions, axis=1), np.array(part), made[0].part_names
+    )
+
+
+def _weights(mesh: Mesh, points: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+    """Barycentric weights of points that lie on the given triangles."""
+    a, b, c = (mesh.vertices[mesh.triangles[triangle, i]] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    square = np.maximum((normal**2).sum(axis=1), 1e-300)
+    v = (np.cross(points - a, c - a) * normal).sum(axis=1) / square
+    w = (np.cross(b - a, points - a) * normal).sum(axis=1) / square
+    return np.stack([1 - v - w, v, w], axis=1)
+
+
+def draws_between(family: TrueFamily, chosen: np.ndarray, n: int, *, rng: np.random.Generator) -> list[tuple]:
+    """(points, exists, None) half-way between random pairs of chosen shapes with the same parts."""
+    patterns = {int(i): tuple(family.exists(i)) for i in chosen}
+    pairs = [(i, j) for i in patterns for j in patterns if i < j and patterns[i] == patterns[j]]
+    found = []
+    for k in rng.permutation(len(pairs))[:n]:
+        i, j = pairs[k]
+        middle = 0.5 * (family.positions[i] + family.positions[j])
+        found.append((middle + rng.normal(0, NOISE, middle.shape), np.array(patterns[i]), None))
+    return found
+
+
+def draws_held_out(family: TrueFamily, left_out: np.ndarray, *, rng: np.random.Generator) -> list[tuple]:
+    """(points, exists, index of the true shape)."""
+    return [
+        (family.positions[i] + rng.normal(0, NOISE, family.positions[i].shape), family.exists(i), int(i))
+        for i in left_out
+    ]
+
+
+def measure(family: TrueFamily, draws: list[tuple], sources: Sources, real: list[np.ndarray], rng) -> dict:
+    """Means over the draws: seconds, gaps, folds, symmetry, distance from draw and truth, plausibility among real clouds."""
+    seconds, preview, made, truth = [], [], [], []
+    for points, exists, index in draws:
+        synthesize(points, exists, sources)  # the sources are read once; the seconds are those of the next meshes
+        begin = time.perf_counter()
+        shape = synthesize(points, exists, sources)
+        seconds.append(time.perf_counter() - begin)
+        begin = time.perf_counter()
+        synthesize(points, exists, sources, preview=True)
+        preview.append(time.perf_counter() - begin)
+        made.append(shape)
+        if index is not None:
+            truth.append(chamfer(cloud(family.shapes[index].mesh, rng), cloud(mesh_of(shape), rng)))
+    clouds = [cloud(mesh_of(shape), rng) for shape in made]
+    gaps = np.array([shape.measures["largest_gap"] for shape in made])
+    on_surface = [
+        closest_points(mesh_of(shape), points[np.isfinite(points).all(axis=1) & exists[family.part]])[2].mean()
+        for shape, (points, exists, _) in zip(made, draws, strict=True)
+    ]
+    result = plausibility(real, clouds)
+    return {
+        "n": len(made),
+        "seconds": float(np.median(seconds)),
+        "preview_seconds": float(np.median(preview)),
+        "gap_mean": float(gaps.mean()),
+        "gap_over_.005": float((gaps > 0.005).mean()),
+        "folds": float(np.mean([shape.measures["folded_triangles"] for shape in made])),
+        "symmetry_error": float(np.mean([symmetry_error(c) for c in clouds])),
+        "draw_to_surface": float(np.mean(on_surface)),
+        "truth_chamfer": float(np.mean(truth)) if truth else None,
+        "mmd": result.mmd,
+        "coverage": result.coverage,
+        "one_nn": result.one_nn,
+    }
+
+
+def mesh_of(shape: SynthesizedShape) -> Mesh:
+    return as_mesh(shape.vertices, shape.triangles)
+
+
+def cloud(mesh: Mesh, rng: np.random.Generator, n: int = 700) -> np.ndarray:
+    return sample_points(mesh, n, rng=rng)[0]
+
+
+def run(family_name: str, count: int, n_draws: int, seed: int) -> dict:
+    """All figures of one family."""
+    rng = np.random.default_rng(seed)
+    family = true_family(family_name, count, seed=seed)
+    n_out = min(n_draws, count // 3)
+    left_out, chosen = np.arange(count - n_out, count), np.arange(count - n_out)
+    sources = family.sources(chosen)
+    real = [cloud(family.shapes[i].mesh, rng) for i in range(count)]
+    return {
+        "between": measure(family, draws_between(family, chosen, n_draws, rng=rng), sources, real, rng),
+        "held out": measure(family, draws_held_out(family, left_out, rng=rng), sources, real, rng),
+        "real": {"n": count, "symmetry_error": float(np.mean([symmetry_error(c) for c in real]))},
+    }
+
+
+def main() -> None:
+    """Print a table and one JSON line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--family", choices=("chairs", "airplanes", "both"), default="both")
+    parser.add_argument("--count", type=int, default=40)
+    parser.add_argument("--draws", type=int, default=12)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", action="store_true", help="the JSON line only")
+    options = parser.parse_args()
+    families = ("chairs", "airplanes") if options.family == "both" else (options.family,)
+    figures = {name: run(name, options.count, options.draws, options.seed) for name in families}
+    if not options.json:
+        for name, found in figures.items():
+            columns = list(found["between"])
+            rows = [
+                [figure, *(("–" if found[kind].get(figure) is None else found[kind][figure]) for kind in found)]
+                for figure in columns
+            ]
+            print(format_table([name, *found], rows), end="\n\n")
+        for library in threadpool_info():
+            print(f"{library['internal_api']} {library.get('architecture', '')}: {library['num_threads']} threads")
+    print(json.dumps({"benchmark": "synthesis_quality", "families": figures}))
+
+
+if __name__ == "__main__":
+    main()
