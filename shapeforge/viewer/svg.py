@@ -8,7 +8,7 @@ from html import escape
 
 import numpy as np
 
-LEFT, RIGHT, TOP, BOTTOM = 64, 16, 14, 42
+LEFT, RIGHT, TOP, BOTTOM = 76, 16, 14, 42
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +27,7 @@ def curve(
     x_label: str,
     y_label: str,
     title: str,
+    from_zero: bool = False,
     width: int = 560,
     height: int = 240,
 ) -> str:
@@ -38,7 +39,7 @@ def curve(
     known = np.concatenate([line[np.isfinite(line)] for line in lines])
     if not len(known):
         return ""
-    ticks = nice_ticks(float(known.min()), float(known.max()))
+    ticks = nice_ticks(min(float(known.min()), 0.0) if from_zero else float(known.min()), float(known.max()))
     low, high = ticks[0], ticks[-1]
     x_low, x_high = float(x.min()), float(x.max()) if x.max() > x.min() else float(x.min()) + 1
     inner = (width - LEFT - RIGHT, height - TOP - BOTTOM)
@@ -54,7 +55,9 @@ def curve(
         parts.append(f'<text class="tick" x="{LEFT - 8}" y="{y + 4}" text-anchor="end">{number(tick)}</text>')
     for tick in _whole_ticks(x_low, x_high):
         across, _ = place(tick, low)
-        parts.append(f'<text class="tick" x="{across}" y="{height - BOTTOM + 18}" text-anchor="middle">{number(tick)}</text>')
+        parts.append(
+            f'<text class="tick" x="{across}" y="{height - BOTTOM + 18}" text-anchor="middle">{number(tick)}</text>'
+        )
     for one, line in zip(series, lines, strict=True):
         there = np.isfinite(line)
         points = [place(a, b) for a, b in zip(x[there], line[there], strict=True)]
@@ -87,7 +90,7 @@ def histogram(
     counts, edges = np.asarray(counts, dtype=float), np.asarray(edges, dtype=float)
     if len(edges) != len(counts) + 1:
         raise ValueError(f"edges: wanted {len(counts) + 1} edges for {len(counts)} bars, got {len(edges)}")
-    parts = [_start(title, width, height)]
+    parts = [_start(title, width, height, stretch=True)]
     span = max(float(edges[-1] - edges[0]), 1e-12)
     top = max(float(counts.max(initial=0)), 1e-12)
     for count, a, b in zip(counts, edges[:-1], edges[1:], strict=True):
@@ -103,10 +106,12 @@ def histogram(
     return "".join(parts) + "</svg>"
 
 
-def shares(values: Sequence[float], names: Sequence[str], colours: Sequence[str], *, title: str, width: int = 200) -> str:
+def shares(
+    values: Sequence[float], names: Sequence[str], colours: Sequence[str], *, title: str, width: int = 200
+) -> str:
     """One bar cut into coloured shares (they are scaled to fill it)."""
     total = max(float(np.sum(values)), 1e-12)
-    parts, x = [_start(title, width, 8)], 0.0
+    parts, x = [_start(title, width, 8, stretch=True)], 0.0
     for value, name, colour in zip(values, names, colours, strict=True):
         wide = float(value) / total * width
         parts.append(f'<rect x="{x:.1f}" y="0" width="{wide:.1f}" height="8" fill="{colour}"><title>')
@@ -138,8 +143,9 @@ def number(value: float) -> str:
     return text.replace("-", "\N{MINUS SIGN}") if "e" not in text else text
 
 
-def _start(title: str, width: int, height: int) -> str:
+def _start(title: str, width: int, height: int, *, stretch: bool = False) -> str:
+    ratio = ' preserveAspectRatio="none"' if stretch else ""
     return (
-        f'<svg viewBox="0 0 {width} {height}" width="{width}" height="{height}" role="img" '
+        f'<svg viewBox="0 0 {width} {height}" width="{width}" height="{height}"{ratio} role="img" '
         f'aria-label="{escape(title, quote=True)}"><title>{escape(title)}</title>'
     )
