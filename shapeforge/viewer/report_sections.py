@@ -205,12 +205,7 @@ def fit(project: Any) -> str:
         ("corresponding points", summary.get("points")),
         ("stopped because", summary.get("stop_reason")),
     ]
-    state = project.fit()
-    rows = [[escape(str(k)), _number(v)] for k, v in facts if v is not None]
-    if state is not None:
-        names = _part_names(project)
-        for part, sigma in zip(names, np.asarray(state.sigma_by_part, float), strict=False):
-            rows.append([f"spread of {escape(part)} around its template, diagonals", _number(float(sigma))])
+    rows = [[escape(words), _number(value)] for words, value in facts if value is not None]
     return f"<div class=plots>{''.join(f'<figure>{p}</figure>' for p in plots)}{_table(rows)}</div>"
 
 
