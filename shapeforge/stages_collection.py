@@ -108,8 +108,8 @@ def _plan(task: Task, found: Sequence[tuple[str, Path]]) -> tuple[list[Reading],
         try:
             sha256 = _digest(path)
         except OSError as error:
-            remedy = "Check the path and its permissions"
-            failed.append(Problem(str(source), "error", f"cannot be opened ({error.strerror})", remedy))
+            reason = f"cannot be opened ({error.strerror or error})"
+            failed.append(Problem(str(source), "error", reason, "Check the path and its permissions"))
             continue
         given.add(name)
         readings.append(Reading(name, path, source, sha256, _shape_key(sha256, task.options)))
@@ -131,6 +131,8 @@ def _plan(task: Task, found: Sequence[tuple[str, Path]]) -> tuple[list[Reading],
 
 
 def _digest(path: Path) -> str:
+    if path.exists() and not path.is_file():  # reading a pipe or a device might never end
+        raise OSError("it is no ordinary file")
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 

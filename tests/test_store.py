@@ -278,7 +278,7 @@ def test_a_full_disk_loses_nothing(project: Project) -> None:
     assert "a.zarr.zip: cannot be written (File too large). Allow larger files" in first
     assert "project.json: cannot be written (File too large)" in second
     assert Project.open(project.path).names == ("a", "b", "c")
-    assert [path for path in project.path.rglob("*.tmp-*")] == []
+    assert list(project.path.rglob("*.tmp-*")) == []
 
 
 def test_a_write_protected_project_says_so(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
