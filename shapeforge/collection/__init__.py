@@ -2,57 +2,69 @@
 
 A mesh file becomes a ``Mesh`` (``meshes``: face k is its k-th face record), the mesh a ``Shape`` (``prepare``: turned y
 up by ``orient``, bounding-box diagonal 1, sampled by ``points``, described by ``descriptors``, cut into ``patches``).
-``labels`` reads and writes which part each face belongs to.
+``labels`` reads and writes which part each face belongs to, ``facecut`` cuts a surface into parts by costs of its
+faces, ``align`` and ``symmetry`` compare shapes with each other and with their mirror image, ``groups`` finds groups
+and exemplars, and ``families`` generates shapes whose truth is known.
 
 >>> mesh = read_mesh("chair.obj")                                            # doctest: +SKIP
 >>> shape = prepare_shape("chair", mesh, rng=np.random.default_rng(0))       # doctest: +SKIP
 >>> labels = read_seg("chair.seg", mesh.n_faces, find_part_names("chairs"))  # doctest: +SKIP
+
+Names are loaded when first used: the nouns alone need no compiler.
 """
 
-from shapeforge.collection.descriptors import DESCRIPTOR_NAMES, describe
-from shapeforge.collection.iterate import last
-from shapeforge.collection.labels import (
-    UNLABELLED,
-    FaceLabels,
-    LabelError,
-    PartNames,
-    find_part_names,
-    read_part_names,
-    read_seg,
-    write_part_names,
-    write_seg,
-)
-from shapeforge.collection.meshes import MeshError, find_meshes, read_mesh, repair_notes, write_mesh
-from shapeforge.collection.patches import find_patches, patch_neighbours
-from shapeforge.collection.points import nearest_neighbours, sample_points
-from shapeforge.collection.prepare import prepare_shape
-from shapeforge.collection.shape import Frame, Mesh, Shape, Shapes
+from __future__ import annotations
 
-__all__ = [
-    "DESCRIPTOR_NAMES",
-    "UNLABELLED",
-    "FaceLabels",
-    "Frame",
-    "LabelError",
-    "Mesh",
-    "MeshError",
-    "PartNames",
-    "Shape",
-    "Shapes",
-    "describe",
-    "find_meshes",
-    "find_part_names",
-    "find_patches",
-    "last",
-    "nearest_neighbours",
-    "patch_neighbours",
-    "prepare_shape",
-    "read_mesh",
-    "read_part_names",
-    "read_seg",
-    "repair_notes",
-    "sample_points",
-    "write_mesh",
-    "write_part_names",
-    "write_seg",
-]
+import importlib
+from typing import Any
+
+_WHERE = {
+    "Frame": "shape",
+    "Mesh": "shape",
+    "Shape": "shape",
+    "Shapes": "shape",
+    "last": "iterate",
+    "MeshError": "meshes",
+    "find_meshes": "meshes",
+    "read_mesh": "meshes",
+    "repair_notes": "meshes",
+    "write_mesh": "meshes",
+    "UNLABELLED": "labels",
+    "FaceLabels": "labels",
+    "LabelError": "labels",
+    "PartNames": "labels",
+    "find_part_names": "labels",
+    "read_part_names": "labels",
+    "read_seg": "labels",
+    "write_part_names": "labels",
+    "write_seg": "labels",
+    "nearest_neighbours": "points",
+    "sample_points": "points",
+    "DESCRIPTOR_NAMES": "descriptors",
+    "describe": "descriptors",
+    "find_patches": "patches",
+    "patch_neighbours": "patches",
+    "prepare_shape": "prepare",
+    "cut_faces": "facecut",
+    "Alignment": "align",
+    "affine_align": "align",
+    "dissimilarity": "align",
+    "symmetry_plane": "symmetry",
+    "GroupState": "groups",
+    "Groups": "groups",
+    "group_shapes": "groups",
+}
+
+__all__ = [*_WHERE]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"{__name__}.{_WHERE[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_WHERE})

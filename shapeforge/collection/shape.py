@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -115,6 +115,7 @@ class Shape:
         return len(self.points)
 
 
+@runtime_checkable
 class Shapes(Protocol):
     """A lazy sequence of shapes: a list will do; a store fulfils it from disk, one shape at a time."""
 
