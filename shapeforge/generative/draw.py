@@ -16,7 +16,7 @@ from shapeforge.generative.inference import Latents, decode, descend, infer, log
 from shapeforge.generative.machine import BetaShapeMachine
 from shapeforge.generative.observations import Observations
 
-MOST_COMPONENTS = 40
+MOST_COMPONENTS = 100
 DOUBT = 0.5
 """Shapes' worth of doubt added to every component's probabilities, spread as in the whole family."""
 
@@ -64,12 +64,13 @@ def fit_mixture(
 ) -> Mixture:
     """EM of a mixture of Bernoullis on (q(H3), E) of the training shapes.
 
-    ``components`` defaults to a third of the shapes, at most 40.  Starts from shapes picked far apart (k-means++).
+    ``components`` defaults to one per shape, at most 100: fewer draw less variety and were easier to tell from real
+    shapes.  Starts from shapes picked far apart (k-means++).
     """
     q = infer(machine, observations.values, observations.exists).hidden3.astype(float)
     exists = observations.exists.astype(float)
     n = len(q)
-    count = min(n, max(4, min(MOST_COMPONENTS, round(n / 3)))) if components is None else min(n, components)
+    count = min(n, MOST_COMPONENTS if components is None else components)
     data = np.concatenate([q, exists], axis=1)
     overall = (data.sum(axis=0) + 0.5) / (n + 1)
     centres = data[_spread_out(data, count, rng)] * 0.8 + 0.2 * overall

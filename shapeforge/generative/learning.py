@@ -7,22 +7,26 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from threadpoolctl import threadpool_limits
 
 from shapeforge.generative._kernels import adam_step
 from shapeforge.generative.finetuning import Batch, TopPrior, loss_and_gradient
 from shapeforge.generative.inference import Latents, decode, infer
 from shapeforge.generative.machine import BetaShapeMachine, project, recentre, start_machine
-from shapeforge.generative.observations import Observations
+from shapeforge.generative.observations import LIMIT, Observations
 from shapeforge.generative.pretraining import BATCH, pretrain_pair, pretrain_points
+from shapeforge.generative.structure import fit_structure
 
 STEPS = 1600
 """Fine-tuning steps when no number of epochs is asked for: small families need many epochs, large ones few."""
 
 RATE = 3e-3
-DECAY = 1e-2
+DECAY = 0.1
 """Decoupled weight decay of Adam, on the pairwise weights only."""
+
+FURTHEST, WIDER = 3.0, 5.0
+"""Of the variations that a family is enriched with: see ``vary``."""
 
 FEWEST_TO_VALIDATE = 10
 RAREST_SHARE = 0.1
@@ -56,14 +60,14 @@ def learn_machine(
     validation: float = 0.1,
     sizes: tuple[list[int], int, int] | None = None,
     start: BetaShapeMachine | None = None,
-    patience: int = 12,
+    patience: float = 0.35,
 ) -> Iterator[LearnState]:
     """Learn a machine; one state per epoch.  The last state holds the best machine by held-out error.
 
     ``epochs`` of fine-tuning (default: enough for about 1600 steps) and ``pretraining`` epochs per layer; a share
     ``validation`` of the shapes is held out unless there are fewer than 10.  ``start`` continues from a machine (its
     pre-training is skipped).  ``executor`` (threads) works on the parts side by side; the result is the same bytes.
-    ``patience`` counts checks of the held-out error without a gain before stopping early.
+    Learning stops early when the held-out error has not fallen for a share ``patience`` of all epochs.
 
     Raises ValueError with fewer than two shapes.
     """
@@ -76,13 +80,14 @@ def learn_machine(
     train, held_out = _split(observations, validation, rng)
     batch_size = min(BATCH, train.n_shapes)
     steps = -(-train.n_shapes // batch_size)
-    n_epochs = max(20, -(-STEPS // steps)) if epochs is None else epochs
+    wanted = STEPS if start is None else STEPS // 3
+    n_epochs = max(20, -(-wanted // steps)) if epochs is None else epochs
     n_first = max(10, min(200, -(-150 // steps))) if pretraining is None else pretraining
     total = n_epochs + (0 if start is not None else 3 * n_first)
     done = 0
 
     if start is not None:
-        machine = start.copy()
+        machine = _continued(start, observations, rng)
     else:
         with threadpool_limits(1, "blas"):
             machine = start_machine(observations, rng=rng, sizes=sizes)
@@ -103,7 +108,7 @@ def learn_machine(
         else:
             waited += 1
         stop = None
-        if held_out is not None and waited >= patience:
+        if held_out is not None and waited * every >= patience * n_epochs:
             stop = f"The error on held-out shapes has not fallen for {waited * every} epochs."
         elif epoch == n_epochs:
             stop = "All epochs are done."
@@ -132,6 +137,19 @@ def sampled_reconstruction(
     latents = infer(machine, observations.values, observations.exists)
     sample = (rng.random(latents.hidden3.shape) < latents.hidden3).astype(latents.hidden3.dtype)
     return decode(machine, sample), latents
+
+
+def _continued(start: BetaShapeMachine, observations: Observations, rng: np.random.Generator) -> BetaShapeMachine:
+    """The machine to go on with.  A refined fit moves the family's cube a little: the machine takes the new one over
+    (fine-tuning makes good the difference), and the structure part is fitted anew, exactly."""
+    if not np.array_equal(start.part, observations.part) or start.part_names != observations.part_names:
+        raise ValueError(
+            f"start: wanted a machine of the same points and parts ({len(observations.part)} points, "
+            f"{observations.part_names}), got {start.n_points} points, {start.part_names}; usually the templates were "
+            "fitted anew since it was learned: learn without start"
+        )
+    structure = fit_structure(observations.exists, rng=rng)
+    return replace(start.copy(), low=observations.low, high=observations.high, structure=structure)
 
 
 def _split(observations: Observations, share: float, rng: np.random.Generator):
@@ -200,10 +218,12 @@ class _Tuner:
     def epoch(self, train: Observations, batch_size: int, rng: np.random.Generator, run: Callable) -> None:
         """One pass over the shapes, then the projection to positive parameters."""
         share = np.maximum(train.exists.mean(axis=0), RAREST_SHARE)
+        _, which, counts = np.unique(train.exists, axis=0, return_inverse=True, return_counts=True)
+        population = counts[which]
         order = rng.permutation(train.n_shapes)
         for first in range(0, train.n_shapes, batch_size):
             chosen = order[first : first + batch_size]
-            values = blend(train.values[chosen], train.exists[chosen], rng=rng)
+            values = vary(train.values[chosen], train.exists[chosen], population[chosen], rng=rng)
             uniform = rng.random((len(chosen), len(self.machine.bias3)), dtype=np.float32)
             batch = Batch(values, train.exists[chosen], 1 / share, uniform=uniform)
             _, gradient = loss_and_gradient(self.machine, self.prior, batch, run)
@@ -234,21 +254,35 @@ class _Tuner:
                 )  # fmt: skip
 
 
-def blend(
-    values: Float[np.ndarray, "n K 3"], exists: Bool[np.ndarray, "n L"], *, rng: np.random.Generator, most: float = 0.5
+def vary(
+    values: Float[np.ndarray, "n K 3"],
+    exists: Bool[np.ndarray, "n L"],
+    population: Int[np.ndarray, " n"],
+    *,
+    rng: np.random.Generator,
 ) -> Float[np.ndarray, "n K 3"]:
-    """Every shape moved a random share of the way (up to ``most``, or ``most``/2 away) to another with the same parts.
+    """Shapes like these: each moved some way towards a random combination of those with the same parts.
 
-    A family of some tens of shapes cannot fill its own space; the straight lines between its members, slightly
-    prolonged, nearly always belong to it.
+    A family of some tens of shapes leaves its own space nearly empty, and a machine this size learns them by heart.  The
+    combinations are Gaussian with the covariance of the shapes at hand.  ``population`` (n,) is how many shapes of the
+    family have the same parts: the fewer, the further each is moved, and the wider than the sample's own covariance
+    (which underestimates) the combinations reach.
     """
+    varied = values.copy()
     keys = exists @ (1 << np.arange(exists.shape[1], dtype=np.int64) % 62)
-    partner = np.arange(len(values))
     for key in np.unique(keys):
         members = np.flatnonzero(keys == key)
-        partner[members] = rng.permutation(members)
-    share = rng.uniform(-most / 2, most, (len(values), 1, 1)).astype(values.dtype)
-    return np.clip(values + share * (values[partner] - values), 0.02, 0.98)
+        n = len(members)
+        if n < 2:
+            continue
+        known = float(population[members[0]])
+        flat = values[members].reshape(n, -1)
+        mean = flat.mean(axis=0)
+        share = rng.uniform(0, min(1.0, FURTHEST / known**0.35), (n, 1))
+        mix = share * rng.standard_normal((n, n)) * ((1 + WIDER / known) / np.sqrt(n - 1))
+        mix[np.diag_indices(n)] += np.sqrt(1 - share[:, 0] ** 2)
+        varied[members] = (mean + mix.astype(values.dtype) @ (flat - mean)).reshape(n, *values.shape[1:])
+    return np.clip(varied, LIMIT, 1 - LIMIT)
 
 
 def _measure(

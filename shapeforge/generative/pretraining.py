@@ -22,7 +22,7 @@ MOMENTUM = 0.9
 CENTRE_RATE = 0.05
 """How far the running means ν move towards a batch's mean."""
 
-FIRST_RATE, UPPER_RATE = 0.5, 0.02
+FIRST_RATE, UPPER_RATE = 50.0, 0.02
 """Step sizes; the first layer's is divided by its number of coordinates, since a unit's input sums over all of them."""
 
 

@@ -18,6 +18,9 @@ from shapeforge.generative.machine import BetaShapeMachine
 from shapeforge.generative.observations import Observations
 
 BINS = 16
+MOST_PATTERNS = 8
+"""Combinations of parts on which a slider's effect is measured."""
+
 BIG_MOVE = 0.4
 """A part is named in a caption when its points move at least this share of what the part that moves most does."""
 
@@ -70,7 +73,7 @@ def directions(
     flat = (decoded.astype(float) * counted).reshape(len(decoded), -1)
     logits_within, flat_within = _within_patterns(logits, observations.exists), _within_patterns(flat, observations.exists)
     left, strength, right = np.linalg.svd(flat_within, full_matrices=False)
-    typical = _typical_shape(latents, logits_within)
+    typical = _typical_shapes(latents, logits_within)
     found = []
     for index in range(min(2 * count, int((strength > 1e-4 * strength[0]).sum()))):
         scores = left[:, index] * strength[index] * _sign(right[index])
@@ -86,7 +89,7 @@ def bundles(machine: BetaShapeMachine, observations: Observations, count: int = 
     latents = infer(machine, observations.values, observations.exists)
     logits = np.clip(logit(latents.hidden2), -6, 6).astype(float)
     centred = _within_patterns(logits, observations.exists)
-    typical = _typical_shape(latents, centred)
+    typical = _typical_shapes(latents, centred)
     swing = np.percentile(centred, 95, axis=0) - np.percentile(centred, 5, axis=0)
     reach = swing * np.abs(machine.weights12).sum(axis=0)
     found = []
@@ -154,26 +157,34 @@ def _within_patterns(data: np.ndarray, exists: np.ndarray) -> np.ndarray:
     return data - means[which]
 
 
-def _typical_shape(latents: Latents, within: np.ndarray) -> Latents:
-    """The shape nearest to the middle of the most common combination of parts, as a shape that has every part."""
+def _typical_shapes(latents: Latents, within: np.ndarray) -> tuple[Latents, np.ndarray]:
+    """For each of the commonest combinations of parts the shape nearest to its middle, and its share of the family."""
     _, which, counts = np.unique(latents.exists, axis=0, return_inverse=True, return_counts=True)
-    members = np.flatnonzero(which == counts.argmax())
-    chosen = int(members[np.linalg.norm(within[members], axis=1).argmin()])
-    one = latents[chosen]
-    return Latents(one.hidden1, one.hidden2, one.hidden3, np.ones_like(one.exists))
+    chosen = []
+    common = np.argsort(-counts, kind="stable")[:MOST_PATTERNS]
+    for pattern in common:
+        members = np.flatnonzero(which == pattern)
+        chosen.append(int(members[np.linalg.norm(within[members], axis=1).argmin()]))
+    return latents[np.array(chosen)], counts[common] / counts[common].sum()
 
 
-def _direction(machine: BetaShapeMachine, typical: Latents, vector: np.ndarray, values: np.ndarray, kind: str) -> Direction:
-    """Measure what a vector does to a typical shape."""
+def _direction(
+    machine: BetaShapeMachine, typical: tuple[Latents, np.ndarray], vector: np.ndarray, values: np.ndarray, kind: str
+) -> Direction:
+    """Measure what a vector does to typical shapes: every point is judged on those that have it."""
+    shapes, share = typical
     values = values - np.median(values)
     low, high = float(np.percentile(values, 5)), float(np.percentile(values, 95))
     ends = []
     for value in (low, high):
-        step = (value * vector)[None].astype(machine.bias1.dtype)
-        none2, none3 = np.zeros((1, len(machine.bias2)), step.dtype), np.zeros((1, len(machine.bias3)), step.dtype)
-        moved = _moved(machine, typical, step if kind == "direction" else none3, none2 if kind == "direction" else step)
-        ends.append(expected_values(machine, moved.hidden1)[0].astype(float))
-    moves = np.linalg.norm(ends[1] - ends[0], axis=1) * machine.diagonals_per_unit
+        step = np.broadcast_to((value * vector).astype(machine.bias1.dtype), (len(share), len(vector)))
+        none2 = np.zeros((len(share), len(machine.bias2)), step.dtype)
+        none3 = np.zeros((len(share), len(machine.bias3)), step.dtype)
+        moved = _moved(machine, shapes, *((step, none2) if kind == "direction" else (none3, step)))
+        ends.append(expected_values(machine, moved.hidden1).astype(float))
+    distance = np.linalg.norm(ends[1] - ends[0], axis=2) * machine.diagonals_per_unit
+    weight = share[:, None] * shapes.exists[:, machine.part]
+    moves = (weight * distance).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-12)
     counts, edges = np.histogram(values, BINS)
     by_part = {
         name: float(moves[members].mean())

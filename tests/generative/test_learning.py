@@ -1,0 +1,190 @@
+"""The chain observe -> learn -> mixture -> draw -> directions -> drive on a small family."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from shapeforge.collection.iterate import last
+from shapeforge.generative.baselines import draw_from_components, fit_principal_components, reconstruct_by_components
+from shapeforge.generative.descriptors import describe_shapes
+from shapeforge.generative.draw import Mixture, draw, fit_mixture
+from shapeforge.generative.inference import decode, infer
+from shapeforge.generative.joint import family_prior, shape_prior
+from shapeforge.generative.learning import learn_machine, reconstruction_error, vary
+from shapeforge.generative.machine import BetaShapeMachine
+from shapeforge.generative.observations import observe
+from shapeforge.generative.paper_form import to_paper
+from shapeforge.generative.units import bundles, directions, drive
+from tests.generative.synthetic import PART_NAMES, chair_family
+
+
+@pytest.fixture(scope="module")
+def family():
+    positions, part, classes = chair_family(60, rng=np.random.default_rng(0), density=0.3)
+    observations = observe(positions, part, PART_NAMES)
+    return observations.subset(np.arange(45)), observations.subset(np.arange(45, 60)), classes
+
+
+@pytest.fixture(scope="module")
+def learned(family):
+    return last(learn_machine(family[0], rng=np.random.default_rng(1), epochs=500, pretraining=60))
+
+
+@pytest.fixture(scope="module")
+def mixture(family, learned):
+    return fit_mixture(learned.machine, family[0], rng=np.random.default_rng(2))
+
+
+def mean_shape_error(family):
+    train, test, _ = family
+    counted = train.exists[:, train.part][..., None]
+    mean = (train.values * counted).sum(axis=0) / np.maximum(counted.sum(axis=0), 1)
+    return float(
+        (np.abs(test.values - mean).mean(axis=2) * test.exists[:, test.part]).sum()
+        / test.exists[:, test.part].sum() * test.diagonals_per_unit
+    )  # fmt: skip
+
+
+def test_new_shapes_come_back_far_better_than_as_the_mean_shape(family, learned):
+    test, machine = family[1], learned.machine
+    latents = infer(machine, test.values, test.exists)
+    floor = mean_shape_error(family)
+    assert reconstruction_error(machine, test, decode(machine, latents)) < 0.6 * floor
+    assert reconstruction_error(machine, test, decode(machine, latents.hidden3)) < 0.7 * floor
+
+
+def test_last_state_says_why_it_stopped_and_few_units_are_dead(learned):
+    assert learned.stop_reason
+    assert max(learned.dead_units) <= 0.05
+    assert np.isfinite(learned.held_out_error)
+
+
+def test_learned_machine_is_positive_as_the_print_asks(learned):
+    form = to_paper(learned.machine.astype(np.float64))
+    assert min(base.min() for base in form.base) > -1e-4
+
+
+def test_machine_and_mixture_survive_a_store(family, learned, mixture):
+    machine = learned.machine
+    again = BetaShapeMachine.from_arrays(machine.to_arrays())
+    assert again.part_names == machine.part_names
+    seen = family[1]
+    np.testing.assert_array_equal(
+        infer(again, seen.values, seen.exists).hidden3, infer(machine, seen.values, seen.exists).hidden3
+    )
+    arrays = machine.to_arrays() | {}
+    assert all(array.dtype != object for array in arrays.values())
+    arrays.pop("bias2")
+    with pytest.raises(ValueError, match="bias2"):
+        BetaShapeMachine.from_arrays(arrays)
+    np.testing.assert_array_equal(Mixture.from_arrays(mixture.to_arrays()).top, mixture.top)
+
+
+def test_same_seed_same_bytes_whatever_the_workers(family):
+    small = family[0].subset(np.arange(12))
+    settings = {"epochs": 6, "pretraining": 3}
+    alone = last(learn_machine(small, rng=np.random.default_rng(5), **settings))
+    with ThreadPoolExecutor(2) as executor:
+        together = last(learn_machine(small, rng=np.random.default_rng(5), executor=executor, **settings))
+    for name, array in alone.machine.to_arrays().items():
+        np.testing.assert_array_equal(array, together.machine.to_arrays()[name], err_msg=name)
+
+
+def test_two_shapes_are_enough_and_one_is_refused(family):
+    state = last(learn_machine(family[0].subset(np.arange(2)), rng=np.random.default_rng(0), epochs=3, pretraining=2))
+    assert np.isnan(state.held_out_error) and np.isfinite(state.train_error)
+    with pytest.raises(ValueError, match="at least 2"):
+        next(learn_machine(family[0].subset(np.arange(1)), rng=np.random.default_rng(0)))
+
+
+def test_draws_keep_to_the_parts_seen_and_differ(family, learned, mixture):
+    train = family[0]
+    drawn = draw(learned.machine, mixture, 200, rng=np.random.default_rng(3))
+    seen = {tuple(row) for row in train.exists}
+    assert {tuple(row) for row in drawn.exists} <= seen
+    for pattern in seen:
+        share = (drawn.exists == pattern).all(axis=1).mean()
+        assert abs(share - (train.exists == pattern).all(axis=1).mean()) < 0.12
+    absent = ~drawn.exists[:, train.part]
+    assert np.isnan(drawn.points[absent]).all() and np.isfinite(drawn.points[~absent]).all()
+    assert len(np.unique(np.nan_to_num(drawn.points[:, 0, 0]).round(6))) > 50
+    again = draw(learned.machine, mixture, 200, rng=np.random.default_rng(3))
+    np.testing.assert_array_equal(again.points, drawn.points)
+
+
+def test_draw_with_parts_asked_for(learned, mixture):
+    wanted = np.array([True, True, True, False, False, False])
+    drawn = draw(learned.machine, mixture, 5, rng=np.random.default_rng(0), exists=wanted)
+    assert (drawn.exists == wanted).all()
+    with pytest.raises(ValueError, match="temperature"):
+        draw(learned.machine, mixture, 1, rng=np.random.default_rng(0), temperature=0.0)
+
+
+def test_sliders_move_what_their_caption_says(family, learned, mixture):
+    train, machine = family[0], learned.machine
+    found = directions(machine, mixture, train)
+    assert [d.vector.tolist() for d in found] == [d.vector.tolist() for d in directions(machine, mixture, train)]
+    sizes = [d.size for d in found]
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[2] >= 0.015, "three sliders must do something one can see"
+    assert all(d.low < 0 < d.high and d.histogram.sum() == train.n_shapes and d.heat.max() == 1 for d in found)
+    assert found[0].parts[0] in found[0].caption and "%" in found[0].caption
+    base = infer(machine, train.values[:1], train.exists[:1])
+    still = drive(machine, base, {}, directions=found)
+    np.testing.assert_allclose(
+        still, machine.to_positions(decode(machine, base), base.exists)[0], atol=1e-4, equal_nan=True
+    )
+    present = np.isfinite(still[:, 0])
+    previous, steps = still, []
+    for value in np.linspace(0, found[0].high, 5)[1:]:
+        moved = drive(machine, base, {0: float(value)}, directions=found)
+        steps.append(np.linalg.norm(moved - still, axis=1)[present].mean())
+        assert np.linalg.norm(moved - previous, axis=1)[present].mean() > 0
+        previous = moved
+    assert steps == sorted(steps)
+    assert all(d.kind == "bundle" for d in bundles(machine, train, 3))
+
+
+def test_descriptors_tell_classes_apart(family, learned):
+    train, test, classes = family
+    known, new = describe_shapes(learned.machine, train), describe_shapes(learned.machine, test)
+    nearest = np.abs(new[:, None] - known[None]).sum(axis=2).argmin(axis=1)
+    assert (classes[nearest] == classes[45:]).mean() >= 0.8
+
+
+def test_prior_is_near_the_shape_and_silent_where_nothing_is(family, learned):
+    test, machine = family[1], learned.machine
+    positions = test.positions()[0]
+    mean, precision = shape_prior(machine, positions)
+    present = np.isfinite(positions[:, 0])
+    assert np.abs(mean - positions)[present].mean() < 0.03
+    assert (precision[~present] == 0).all() and (precision[present] > 0).all()
+    # The residuals on shapes never seen must be of the size that the precision claims, not ten times larger.
+    prior = family_prior(machine, test)
+    gaps = ((prior.mean - test.positions()) ** 2 * prior.precision)[np.isfinite(prior.mean)]
+    assert 0.2 < gaps.mean() < 5
+
+
+def test_variations_stay_in_the_family_and_leave_lone_shapes_alone(family):
+    train = family[0]
+    population = np.full(train.n_shapes, 10)
+    varied = vary(train.values, train.exists, population, rng=np.random.default_rng(0))
+    assert varied.dtype == train.values.dtype and 0.02 <= varied.min() and varied.max() <= 0.98
+    patterns = fit_principal_components(train, components=100)
+    inside = (varied > 0.0201) & (varied < 0.9799)
+    moved = observe(train.positions(), train.part, PART_NAMES)
+    combined = type(moved)(varied, train.exists, train.part, PART_NAMES, train.low, train.high)
+    gap = np.abs(reconstruct_by_components(patterns, combined) - varied)[inside]
+    assert gap.max() < 1e-2 and np.abs(varied - train.values).mean() > 1e-3
+    alone = vary(train.values[:1], train.exists[:1], population[:1], rng=np.random.default_rng(0))
+    np.testing.assert_array_equal(alone, train.values[:1])
+
+
+def test_components_reproduce_training_shapes_and_draw(family):
+    train = family[0]
+    model = fit_principal_components(train, components=100)
+    np.testing.assert_allclose(reconstruct_by_components(model, train), train.values, atol=1e-5)
+    for kernel in (False, True):
+        values, exists = draw_from_components(model, 5, rng=np.random.default_rng(0), kernel=kernel)
+        assert values.shape == (5, *train.values.shape[1:]) and {tuple(e) for e in exists} <= {tuple(e) for e in train.exists}
