@@ -30,7 +30,7 @@ class MeshLayer:
     triangles: Int[np.ndarray, "N 3"]
     colours: UInt8[np.ndarray, "M 3"]
     smooth_colours: bool = False
-    opacity: float = 1.0
+    opacity: float | int = 1.0
     edges: bool = False
     record: Int[np.ndarray, " N"] | None = None
     pickable: bool = True
@@ -43,8 +43,8 @@ class PointLayer:
     key: str
     positions: Float[np.ndarray, "n 3"]
     colours: UInt8[np.ndarray, "n 3"]
-    size: float = 5.0
-    opacity: float = 1.0
+    size: float | int = 5.0
+    opacity: float | int = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +54,8 @@ class LineLayer:
     key: str
     segments: Float[np.ndarray, "n 2 3"]
     colour: Colour
-    width: float = 1.0
-    opacity: float = 1.0
+    width: float | int = 1.0
+    opacity: float | int = 1.0
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 
 from shapeforge.collection.labels import UNLABELLED, PartNames
 from shapeforge.viewer import brushes
@@ -88,15 +89,16 @@ class Painter:
 
     @property
     def mirror_plane(self) -> tuple[Float[np.ndarray, " 3"], float, float] | None:
-        """Normal, offset and mean error (diagonals) of the shape's mirror plane; None when it has no good one."""
+        """Normal, offset and mean error (diagonals, beyond the sampling's) of the mirror plane; None without a good one."""
         if not self._plane_known:
-            try:
-                from shapeforge.collection.symmetry import symmetry_plane
-            except ModuleNotFoundError:  # TEMPORARY
-                symmetry_plane = lambda points: (np.array([1.0, 0, 0]), 0.0, 0.002)
+            from shapeforge.collection.symmetry import symmetry_plane
 
-            normal, offset, error = symmetry_plane(self.shape.points)[:3]
-            self._plane = (np.asarray(normal, float), float(offset), float(error)) if error < SYMMETRIC else None
+            points = np.asarray(self.shape.points, float)
+            normal, offset, error = symmetry_plane(points)
+            # Between samples even a perfect mirror misses by their spacing; what is left is the shape's own.
+            spacing = float(cKDTree(points).query(points, k=2)[0][:, 1].mean()) if len(points) > 1 else 0.0
+            error = max(float(error) - spacing, 0.0)
+            self._plane = (np.asarray(normal, float), float(offset), error) if error < SYMMETRIC else None
             self._plane_known = True
         return self._plane
 

@@ -53,6 +53,11 @@ class PaintState:
         return view
 
     @property
+    def is_drawing(self) -> bool:
+        """A stroke has begun and not ended."""
+        return self._open is not None
+
+    @property
     def strokes(self) -> Sequence[Stroke]:
         """All strokes, those undone included; the first ``done`` of them are in effect."""
         return tuple(self._strokes)

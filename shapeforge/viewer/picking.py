@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import pyvista as pv
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from vtkmodules.vtkCommonCore import mutable
 from vtkmodules.vtkCommonDataModel import vtkStaticCellLocator
 from vtkmodules.vtkRenderingCore import vtkCamera
 
 from shapeforge.viewer.display import MeshLayer
 
+Number = float | int
+Rectangle = tuple[Number, Number, Number, Number]
 KEPT_LOCATORS = 40
 
 
@@ -41,7 +43,7 @@ def camera_axes(camera: vtkCamera) -> Float[np.ndarray, "3 3"]:
 
 
 def project(
-    camera: vtkCamera, positions: Float[np.ndarray, "n 3"], rectangle: tuple[float, float, float, float]
+    camera: vtkCamera, positions: Float[np.ndarray, "n 3"], rectangle: Rectangle
 ) -> Float[np.ndarray, "n 2"]:
     """Window places (n, 2), y down, of positions in a cell ``rectangle`` = x, y, width, height (logical pixels)."""
     x, y, width, height = rectangle
@@ -75,8 +77,8 @@ class Picker:
         return locator
 
     def pick(
-        self, camera: vtkCamera, layers: tuple[MeshLayer, ...], place: tuple[float, float],
-        rectangle: tuple[float, float, float, float], view: int = 0,
+        self, camera: vtkCamera, layers: tuple[MeshLayer, ...], place: tuple[Number, Number],
+        rectangle: Rectangle, view: int = 0,
     ) -> Pick | None:  # fmt: skip
         """The nearest hit of ``layers`` at window place (x, y), y down, in the cell ``rectangle``; None on nothing."""
         x, y, width, height = rectangle
@@ -104,14 +106,3 @@ def _facing(corners: np.ndarray, viewer: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(normal)
     normal = normal / length if length > 0 else viewer
     return normal if normal @ viewer >= 0 else -normal
-
-
-def nearest_point(
-    points: Float[np.ndarray, "n 3"], position: Float[np.ndarray, " 3"], usable: Int[np.ndarray, " m"] | None = None
-) -> int | None:
-    """Index of the finite point nearest to ``position`` (among ``usable``); None when there is none."""
-    index = np.arange(len(points)) if usable is None else usable
-    distance = np.linalg.norm(points[index] - position, axis=1)
-    if not np.isfinite(distance).any():
-        return None
-    return int(index[np.nanargmin(distance)])

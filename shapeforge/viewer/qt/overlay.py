@@ -10,7 +10,7 @@ from vtkmodules.vtkRenderingCore import vtkCamera
 
 from shapeforge.viewer.display import Display, Mark, View
 from shapeforge.viewer.palette import tokens
-from shapeforge.viewer.picking import project
+from shapeforge.viewer.picking import Rectangle, project
 from shapeforge.viewer.qt import theme as look
 
 ROLE_TOKEN = {
@@ -23,7 +23,6 @@ ROLE_TOKEN = {
     "error": "error",
 }
 LOW_CONFIDENCE = 0.5
-Rectangle = tuple[float, float, float, float]
 
 
 def cell_rectangles(width: int, height: int, rows: int, columns: int) -> list[Rectangle]:

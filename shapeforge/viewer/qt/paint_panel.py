@@ -71,7 +71,7 @@ class PaintPlace:
         self._add_actions()
         self._build()
         self._save_timer = QTimer(self.centre, singleShot=True, interval=SAVE_MS)
-        self._save_timer.timeout.connect(self._save)
+        self._save_timer.timeout.connect(self._save_between_strokes)
         self._count_timer = QTimer(self.centre, singleShot=True, interval=COUNT_MS)
         self._count_timer.timeout.connect(self._show_counts)
         self.thumbnails.arrived.connect(self._show_pictures)
@@ -378,6 +378,12 @@ class PaintPlace:
         self.session.edit_count += 1
         self._show_counts()
         self._show_history()
+
+    def _save_between_strokes(self) -> None:
+        if self.painter.state.is_drawing:
+            self._save_timer.start()  # saving would end the stroke under the user's hand
+        else:
+            self._save()
 
     def _save(self) -> None:
         self._save_timer.stop()

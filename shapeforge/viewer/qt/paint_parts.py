@@ -98,6 +98,7 @@ class PartRow(Clickable):
             top.addWidget(label(key, "keycap"))
         below = row(self.bar, margins=(26, 0, 0, 0))
         super().__init__(column(top, below, spacing=3, margins=(8, 4, 8, 5)), "row")
+        self._renaming = False
         self.eye.clicked.connect(self.eye_clicked)
         self.editor.editingFinished.connect(self._renamed)
         self.setFixedHeight(38)
@@ -121,6 +122,7 @@ class PartRow(Clickable):
 
     def rename(self) -> None:
         """Edit the name in place."""
+        self._renaming = True
         self.name.hide()
         self.editor.setText(self.name.text())
         self.editor.show()
@@ -128,7 +130,8 @@ class PartRow(Clickable):
         self.editor.selectAll()
 
     def _renamed(self) -> None:
-        if self.editor.isVisible():
+        if self._renaming:  # told twice: by Return, and again when the editor loses the focus
+            self._renaming = False
             self.editor.hide()
             self.name.show()
             if self.editor.text() != self.name.text():

@@ -20,9 +20,9 @@ from vtkmodules.vtkRenderingCore import vtkCamera
 from shapeforge.viewer.display import Display, Mark, MeshLayer, PointLayer
 from shapeforge.viewer.look import VIEW_DIRECTION, frame_of, place_camera
 from shapeforge.viewer.palette import rgb, tokens
-from shapeforge.viewer.picking import Pick, Picker, camera_axes, project
+from shapeforge.viewer.picking import Number, Pick, Picker, Rectangle, camera_axes, project
 from shapeforge.viewer.pictures import SHADOW
-from shapeforge.viewer.qt.overlay import Overlay, Rectangle, cell_rectangles
+from shapeforge.viewer.qt.overlay import Overlay, cell_rectangles
 from shapeforge.viewer.scene import Scene
 
 FRAME_MS = 33
@@ -138,7 +138,7 @@ class View3D(QWidget):
         place_camera(self.scene.camera, tuple(float(x) for x in focus), max(scale for _, scale in frames))
         self.camera_changed()
 
-    def turn_to(self, azimuth: float, elevation: float) -> None:
+    def turn_to(self, azimuth: Number, elevation: Number) -> None:
         """Look from ``azimuth`` degrees (0 is the front, +z) and ``elevation`` degrees above the floor."""
         a, e = math.radians(azimuth), math.radians(elevation)
         direction = (math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e))
@@ -169,6 +169,11 @@ class View3D(QWidget):
         """Draw within 33 ms; asked twice, drawn once, with the newest state."""
         if not self._timer.isActive() and not self._closed:
             self._timer.start()
+
+    @property
+    def at_rest(self) -> bool:
+        """Nothing is waiting to be drawn."""
+        return self.frames > 0 and not self._timer.isActive() and not self._settle.isActive()
 
     def _paint(self) -> None:
         if self._closed:
@@ -204,14 +209,14 @@ class View3D(QWidget):
 
     # ---- camera and picking --------------------------------------------------------------------------------------
 
-    def cell_at(self, x: float, y: float) -> int | None:
+    def cell_at(self, x: Number, y: Number) -> int | None:
         """Index of the cell at a logical place of the view; None outside all."""
         for i, (left, top, width, height) in enumerate(self.rectangles()):
             if left <= x < left + width and top <= y < top + height:
                 return i
         return None
 
-    def pick(self, x: float, y: float) -> Pick | None:
+    def pick(self, x: Number, y: Number) -> Pick | None:
         """What lies at the logical place (x, y), y down."""
         cell = self.cell_at(x, y)
         if cell is None or cell >= len(self.scene.display.views):
@@ -227,7 +232,7 @@ class View3D(QWidget):
     def _camera(self, cell: int) -> vtkCamera:
         return self.scene.cells[cell].renderer.GetActiveCamera()
 
-    def zoom(self, steps: float, at: tuple[float, float] | None = None) -> None:
+    def zoom(self, steps: Number, at: tuple[Number, Number] | None = None) -> None:
         """Zoom in by wheel ``steps`` (negative: out), keeping the place ``at`` under the pointer."""
         camera = self.scene.camera
         old = camera.GetParallelScale()
@@ -241,7 +246,7 @@ class View3D(QWidget):
         self._user_camera = True
         self.camera_changed()
 
-    def turn(self, right: float, down: float) -> None:
+    def turn(self, right: Number, down: Number) -> None:
         """Turn by a drag of ``right`` and ``down`` pixels, about the vertical and then up or down, never over the top."""
         camera = self.scene.camera
         away = np.array(camera.GetPosition()) - np.array(camera.GetFocalPoint())
