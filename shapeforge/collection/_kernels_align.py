@@ -61,7 +61,7 @@ def _trimmed_mean_root(squared, kept_share):
 
 @njit(cache=True, nogil=True)
 def _bounded(matrix, start, low, high, shear):
-    """``matrix`` with singular values in [low, high] and shear (relative to ``start``) bounded; ``start`` if mirrored."""
+    """``matrix`` with singular values in [low, high] and bounded shear relative to ``start``; ``start`` if mirrored."""
     if np.linalg.det(matrix) <= 0.0:
         return start.copy()
     u, s, vt = np.linalg.svd(matrix)

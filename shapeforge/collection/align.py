@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
 from shapeforge.collection._kernels_align import symmetric_icp
 
@@ -42,8 +42,8 @@ class Alignment:
         return Alignment(back, -back @ self.offset, self.residual, self.start)
 
 
-def thinned(points: Float[np.ndarray, "n 3"], count: int) -> Float[np.ndarray, "m 3"]:
-    """At most ``count`` of the points (n, 3), evenly over their order, which follows the surface: no randomness."""
+def thinned(points: Shaped[np.ndarray, "n ..."], count: int) -> Shaped[np.ndarray, "m ..."]:
+    """At most ``count`` of the rows of ``points`` (n, …), evenly over their order: no randomness."""
     if len(points) <= count:
         return points
     return points[np.linspace(0, len(points) - 1, count).round().astype(np.int64)]

@@ -4,8 +4,8 @@ Energy of labels ``l`` (Boykov, Veksler & Zabih 2001, Potts model), without a un
 
     E(l) = sum_f area_f / A * cost[f, l_f]  +  weight / 1000 * sum_{f,g adjacent, l_f != l_g} border_fg / sqrt(A)
 
-with ``A`` the whole area and ``border_fg`` the length of the common edge, times a factor below 1 where the surface bends.
-So ``weight`` is a width, in thousandths of sqrt(A): a border may move over a strip that wide for one nat of difference.
+with ``A`` the whole area and ``border_fg`` the length of the common edge, times a factor below 1 where the surface
+bends.  So ``weight`` is a width, in thousandths of sqrt(A): a border is worth one nat over a strip that wide.
 """
 
 from __future__ import annotations
@@ -83,7 +83,11 @@ def potts_energy(
 
 
 def minimize_potts(
-    unary: Int[np.ndarray, "F L"], pairs: Int[np.ndarray, "E 2"], pairwise: Int[np.ndarray, " E"], *, max_sweeps: int = 8
+    unary: Int[np.ndarray, "F L"],
+    pairs: Int[np.ndarray, "E 2"],
+    pairwise: Int[np.ndarray, " E"],
+    *,
+    max_sweeps: int = 8,
 ) -> Int[np.ndarray, " F"]:
     """Labels (F,) of small Potts energy by alpha-expansion, from every node's cheapest label.
 

@@ -50,7 +50,7 @@ class Groups:
 
 @dataclass(frozen=True, eq=False)
 class GroupState:
-    """Progress of ``group_shapes``: step ``step`` of ``of`` within ``phase``; ``groups`` and ``stop_reason`` at the end."""
+    """Progress of ``group_shapes``: ``step`` of ``of`` within ``phase``; ``groups`` and ``stop_reason`` at the end."""
 
     step: int
     of: int
@@ -71,8 +71,8 @@ def group_shapes(
     Up to 100 shapes every pair is compared; above, the edges of a graph of similar shapes only, whose path lengths are
     embedded in 20 dimensions (Isomap).  Affinity propagation finds groups and exemplars, one for some 6 to 25 shapes.
     ``exemplars``: shape indices that the user chose instead; every shape joins the nearest.  ``executor`` has the
-    interface of ``concurrent.futures``; the result does not depend on it.  Yields progress, then a state with ``groups``:
-    largest first, "Group 1" and so on.
+    interface of ``concurrent.futures``; the result does not depend on it.  Yields progress, then a state with
+    ``groups``: largest first, "Group 1" and so on.
 
     Raises ValueError for no shapes at all and for exemplars that are repeated or no index of a shape.
     """
@@ -159,7 +159,7 @@ def find_exemplars(
 
 
 def separation(distance: Float[np.ndarray, "T T"], centres: Int[np.ndarray, " G"]) -> float:
-    """Mean of 1 - (distance to the own exemplar) / (distance to the second nearest): 0 not separate, towards 1 clear."""
+    """Mean of 1 - (distance to the own exemplar) / (to the second nearest): 0 not separate, towards 1 clear."""
     nearest = np.sort(distance[:, centres], axis=1)
     others = np.setdiff1d(np.arange(len(distance)), centres)
     if len(centres) < 2 or len(others) == 0:
@@ -185,7 +185,7 @@ def medoids(distance: Float[np.ndarray, "T T"], k: int) -> Int[np.ndarray, " k"]
 
 
 def _propagated(similarity: np.ndarray, fewest: int, most: int, *, seed: int) -> np.ndarray | None:
-    """Exemplars by affinity propagation: the most groups within [fewest, most] as the preference falls; None if none."""
+    """Exemplars by affinity propagation: the most groups within [fewest, most] as the preference falls, or None."""
     off = similarity[~np.eye(len(similarity), dtype=bool)]
     median, least = float(np.median(off)), float(off.min())
     if least >= 0:  # all shapes equal
@@ -243,7 +243,7 @@ def shape_descriptor(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " F"
 
 
 def similarity_graph(feature_distance: Float[np.ndarray, "T T"], k: int = GRAPH_NEIGHBOURS) -> Int[np.ndarray, "E 2"]:
-    """Edges (E, 2), each once, first < second, to the ``k`` nearest of every shape; components joined at their nearest."""
+    """Edges (E, 2), each once, first < second, to the ``k`` nearest of every shape; components are joined."""
     n = len(feature_distance)
     near = np.argsort(feature_distance, axis=1, kind="stable")[:, : k + 1]
     edges = np.stack([np.repeat(np.arange(n), near.shape[1]), near.ravel()], axis=1)

@@ -19,9 +19,9 @@ _N_REFLECTED, _N_AGAINST = 300, 2500
 def symmetry_plane(points: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, " 3"], float, float]:
     """The mirror plane ``normal · x = offset`` of surface points (n, 3), near-vertical (y is up), and its error.
 
-    ``normal`` (3,) has unit length, its largest component positive.  ``error`` is the mean distance, in the units of the
-    points, from a mirrored point to the nearest point: for a perfect mirror the spacing of the points remains.  Among
-    planes that are about as good, the one across x wins (a square table has four).
+    ``normal`` (3,) has unit length, its largest component positive.  ``error`` is the mean distance, in the units of
+    the points, from a mirrored point to the nearest point: for a perfect mirror the spacing of the points remains.
+    Among planes that are about as good, the one across x wins (a square table has four).
 
     Candidates: x = 0, z = 0, the principal axes in plan and a fan of angles; the best are refined by iterated closest
     points.  Raises ValueError for fewer than 4 points or non-finite ones.

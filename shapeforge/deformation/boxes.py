@@ -2,7 +2,8 @@
 
 In place of the box templates of Kim 2013, the patches of all shapes are clustered together.  Every shape is laid into
 one frame by affine alignment to its group's exemplar; there, patches that are alike in place, extent, direction and
-thickness are the same part.  It is a start only: the fit then moves the borders.
+thickness are the same part.  Then the shapes vote: a point goes to the part that like points of the *other* shapes
+belong to, which mends patches that were cut badly.  It is a start only: the fit then moves the borders.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_limits
 
-from shapeforge.collection.align import Alignment, affine_align
+from shapeforge.collection.align import Alignment, affine_align, thinned
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.shape import Shape
 from shapeforge.collection.symmetry import symmetry_plane
@@ -26,6 +28,10 @@ FEWEST, MOST = 2, 8  # parts that are tried when no number is given
 TOLERANCE = 0.01  # of the silhouette: among numbers of parts that are about as good, the largest
 STARTS = 10  # of the clustering; the best is kept
 SILHOUETTE_ROWS = 3000  # patches on which numbers of parts are compared
+VOTING_ROUNDS, VOTES = 2, 30
+VOTERS, VOTED = 12_000, 1000  # points of all shapes that vote; points of a shape that are voted on
+REACH = 0.12  # diagonals that count as much as turning the normal by a right angle
+OWN_VOTE, NEIGHBOURS_VOTE, PATCH_VOTE = 0.4, 0.3, 0.3
 
 # How much a feature of unit variance counts.  Where a patch ends in height tells more than where its middle is; the six
 # PCA features and the three diameters say much the same, so they share one voice.
@@ -81,9 +87,10 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
         if n_parts is None:
             n_parts = choose_number(features, weight, rng=rng)
         part, energy = cluster_patches(features, weight, n_parts, rng=rng)
-    segmentation = tuple(
-        SURE * np.eye(n_parts)[part[owner == t][patches[t]]] + (1 - SURE) / n_parts for t in range(number)
-    )
+    parts = [part[owner == t][patches[t]] for t in range(number)]
+    for _ in range(VOTING_ROUNDS if number > 1 else 0):
+        parts = vote(shapes, frames, normal, offset, parts, n_parts)
+    segmentation = tuple(SURE * np.eye(n_parts)[of_point] + (1 - SURE) / n_parts for of_point in parts)
     return Proposal(segmentation, tuple(f"part {i + 1}" for i in range(n_parts)), energy)
 
 
@@ -123,12 +130,7 @@ def patch_features(
     Distance from the plane, height and depth of the middle; lowest and highest height; extents; mean squared normal;
     mean descriptors.  Folding at the mirror plane makes left and right one part.
     """
-    points = frame(shape.points)
-    normals = shape.normals @ np.linalg.inv(frame.matrix)
-    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    sideways = np.cross(normal, [0.0, 1.0, 0.0])
-    axes = np.stack([normal, [0.0, 1.0, 0.0], sideways / np.linalg.norm(sideways)])
-    places, normals = points @ axes.T - [offset, 0, 0], normals @ axes.T
+    places, normals = _placed(shape, frame, normal, offset)
     patch = shape.patch
     count = np.maximum(np.bincount(patch), 1)[:, None]
     folded = np.concatenate([np.abs(places[:, :1]), places[:, 1:], normals**2, shape.descriptors], axis=1)
@@ -138,6 +140,60 @@ def patch_features(
         if len(members):  # not the very ends: one stray point would move them
             low[p], high[p] = np.quantile(places[members], [0.05, 0.95], axis=0)
     return np.concatenate([means[:, :3], low[:, 1:2], high[:, 1:2], high - low, means[:, 3:]], axis=1)
+
+
+def _placed(shape: Shape, frame: Alignment, normal: np.ndarray, offset: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points (P, 3) and unit normals (P, 3) in the common frame: distance from the mirror plane, height, depth."""
+    normals = shape.normals @ np.linalg.inv(frame.matrix)
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    sideways = np.cross(normal, [0.0, 1.0, 0.0])
+    axes = np.stack([normal, [0.0, 1.0, 0.0], sideways / np.linalg.norm(sideways)])
+    return frame(shape.points) @ axes.T - [offset, 0, 0], normals @ axes.T
+
+
+def vote(
+    shapes: Any, frames: list[Alignment], normal: np.ndarray, offset: float, parts: list[np.ndarray], n_parts: int
+) -> list[np.ndarray]:
+    """New part of every point of every shape, from the parts (P,) of like points of the other shapes.
+
+    Alike in place (folded at the mirror plane), direction and thickness.  A point's vote is averaged with those of its
+    neighbours and of its patch, so borders stay short.
+    """
+    number = len(shapes)
+    share = max(2, VOTERS // number)
+    voters = [thinned(_likeness(shapes[t], frames[t], normal, offset), share) for t in range(number)]
+    tree = cKDTree(np.concatenate(voters))
+    said = np.concatenate([thinned(part, share) for part in parts])
+    of_shape = np.repeat(np.arange(number), [len(rows) for rows in voters])
+    # The own points are found, too, but have no vote: enough others must be among the nearest.
+    k = min(VOTES + VOTES // max(number - 1, 1), len(said))
+    voted = []
+    for t in range(number):
+        shape = shapes[t]
+        rows = _likeness(shape, frames[t], normal, offset)
+        asked = thinned(rows, VOTED)
+        distance, near = tree.query(asked, k=k)
+        width = np.maximum(distance[:, : k // 2 + 1].mean(axis=1, keepdims=True), 1e-9)
+        weight = np.exp(-0.5 * (distance / width) ** 2) * (of_shape[near] != t)
+        votes = np.stack([(weight * (said[near] == part)).sum(axis=1) for part in range(n_parts)], axis=1) + 1e-9
+        votes /= votes.sum(axis=1, keepdims=True)
+        own = votes[cKDTree(asked).query(rows)[1]]
+        present = shape.neighbours >= 0
+        around = (own[shape.neighbours] * present[:, :, None]).sum(axis=1)
+        around = around / np.maximum(present.sum(axis=1, keepdims=True), 1)
+        patch = shape.patch
+        sums = np.stack([np.bincount(patch, column) for column in own.T], axis=1)
+        of_patch = (sums / np.maximum(np.bincount(patch), 1)[:, None])[patch]
+        voted.append((OWN_VOTE * own + NEIGHBOURS_VOTE * around + PATCH_VOTE * of_patch).argmax(axis=1))
+    return voted
+
+
+def _likeness(shape: Shape, frame: Alignment, normal: np.ndarray, offset: float) -> np.ndarray:
+    """Rows (P, 8), near for like points: place folded at the mirror plane, squared normal, thickness, geodesic distance."""
+    places, normals = _placed(shape, frame, normal, offset)
+    places = np.concatenate([np.abs(places[:, :1]), places[:, 1:]], axis=1)
+    described = shape.descriptors[:, [0, 3]] * [2, 1]
+    return np.concatenate([places / REACH, normals**2, described], axis=1)
 
 
 def standardized(features: Float[np.ndarray, "n F"], weight: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n F"]:
@@ -156,7 +212,8 @@ def cluster_patches(
     """
     used = weight > 0
     k = min(n_parts, len(np.unique(features[used], axis=0)))
-    model = KMeans(k, n_init=STARTS, random_state=int(rng.integers(2**31))).fit(features[used], sample_weight=weight[used])
+    model = KMeans(k, n_init=STARTS, random_state=int(rng.integers(2**31)))
+    model.fit(features[used], sample_weight=weight[used])
     rank = np.empty(k, np.int64)
     rank[np.argsort(-np.bincount(model.labels_, weight[used], k), kind="stable")] = np.arange(k)
     part = np.zeros(len(features), np.int64)

@@ -12,7 +12,7 @@ from shapeforge.collection.shape import Mesh
 
 
 def grid(n: int, *, soup: bool = False, fold: int | None = None) -> Mesh:
-    """A sheet of n x n unit quads in the plane y = 0; ``soup`` gives each its own corners; ``fold`` bends it up at a column."""
+    """A sheet of n x n unit quads, y = 0; ``soup`` gives each its own corners; ``fold`` bends it up at a column."""
     vertices, triangles, face = [], [], []
     for row, column in itertools.product(range(n), range(n)):
         quad = [(column, row), (column + 1, row), (column + 1, row + 1), (column, row + 1)]
@@ -37,9 +37,8 @@ def random_problem(rng: np.random.Generator, n: int, n_labels: int):
 
 def best_by_enumeration(unary, pairs, pairwise) -> int:
     n, n_labels = unary.shape
-    return min(
-        potts_energy(np.array(labels), unary, pairs, pairwise) for labels in itertools.product(range(n_labels), repeat=n)
-    )
+    everything = itertools.product(range(n_labels), repeat=n)
+    return min(potts_energy(np.array(labels), unary, pairs, pairwise) for labels in everything)
 
 
 @pytest.mark.parametrize("seed", range(20))

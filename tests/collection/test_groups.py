@@ -10,7 +10,12 @@ import pytest
 
 import shapeforge.collection.groups as module
 from shapeforge.collection.groups import (
-    classical_scaling, find_exemplars, group_shapes, medoids, shape_descriptor, similarity_graph,
+    classical_scaling,
+    find_exemplars,
+    group_shapes,
+    medoids,
+    shape_descriptor,
+    similarity_graph,
 )  # fmt: skip
 from shapeforge.collection.iterate import last
 
@@ -47,7 +52,8 @@ def table(rng) -> Sampled:
 
 def lamp(rng) -> Sampled:
     h = rng.uniform(1.8, 2.2)
-    return boxes(rng, ((0.1, h, 0.1), (0, 0, 0), 200), ((0.8, 0.5, 0.8), (0, h / 2, 0), 250), ((0.5, 0.05, 0.5), (0, -h / 2, 0), 100))
+    shade, foot = ((0.8, 0.5, 0.8), (0, h / 2, 0), 250), ((0.5, 0.05, 0.5), (0, -h / 2, 0), 100)
+    return boxes(rng, ((0.1, h, 0.1), (0, 0, 0), 200), shade, foot)
 
 
 def mixed(count_each: int, *, seed: int = 0) -> tuple[list[Sampled], np.ndarray]:

@@ -17,8 +17,8 @@ DATA = Path(os.environ.get("SHAPEFORGE_DATA", Path(__file__).parents[3] / "share
 
 def boxes(*sizes_and_centres) -> Mesh:
     """A mesh of axis-aligned boxes, given as (size, centre) pairs."""
-    parts = [trimesh.creation.box(size, trimesh.transformations.translation_matrix(at)) for size, at in sizes_and_centres]
-    whole = trimesh.util.concatenate(parts)
+    place = trimesh.transformations.translation_matrix
+    whole = trimesh.util.concatenate([trimesh.creation.box(size, place(at)) for size, at in sizes_and_centres])
     triangles = np.asarray(whole.faces, np.int64)
     return Mesh(np.asarray(whole.vertices, np.float64), triangles, np.arange(len(triangles)), len(triangles))
 

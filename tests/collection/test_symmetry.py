@@ -12,7 +12,8 @@ def airplane(rng: np.random.Generator, count: int = 2500) -> np.ndarray:
     """Fuselage along z, swept wings and a fin: symmetric about x = 0 and nothing else."""
     body = rng.uniform([-0.05, -0.05, -0.5], [0.05, 0.05, 0.5], (count // 2, 3))
     span = rng.uniform(-0.5, 0.5, count // 3)
-    wings = np.stack([span, rng.uniform(0, 0.01, span.size), 0.1 - 0.6 * np.abs(span) + rng.uniform(0, 0.15, span.size)], axis=1)
+    chord = 0.1 - 0.6 * np.abs(span) + rng.uniform(0, 0.15, span.size)
+    wings = np.stack([span, rng.uniform(0, 0.01, span.size), chord], axis=1)
     fin = rng.uniform([-0.01, 0, -0.5], [0.01, 0.25, -0.35], (count // 6, 3))
     return rng.permutation(np.concatenate([body, wings, fin]))
 
@@ -49,7 +50,8 @@ def test_asymmetric_shape_has_a_large_error_and_an_outlier_part_does_not_move_th
     normal, offset, error = symmetry_plane(np.concatenate([plane, pod]))
     assert normal[0] > 0.999 and abs(offset) < 0.01
     assert symmetry_plane(plane)[2] < error
-    spiral = np.stack([np.cos(t := rng.uniform(0, 6, 2000)) * t / 12, rng.random(2000) * 0.1, np.sin(t) * t / 12], axis=1)
+    turn = rng.uniform(0, 6, 2000)
+    spiral = np.stack([np.cos(turn) * turn / 12, rng.random(2000) * 0.1, np.sin(turn) * turn / 12], axis=1)
     assert symmetry_plane(spiral)[2] > 2 * symmetry_plane(plane)[2]
 
 

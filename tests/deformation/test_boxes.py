@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
@@ -66,17 +67,25 @@ def test_parts_of_chairs_are_found_and_all_legs_are_one_part(chairs):
     shapes, truths = chairs
     proposal = propose_parts(shapes, one_group(6), n_parts=3, rng=np.random.default_rng(0))
     assert proposal.part_names == ("part 1", "part 2", "part 3")
-    assert matched(proposal.segmentation, truths) > 0.9999
+    assert matched(proposal.segmentation, truths) > 0.99
     assert 0 < proposal.energy < 0.6
 
 
 def test_number_of_parts_of_chairs_is_found(chairs):
-    """Front and back legs may count as two parts, but no part mixes what is different."""
+    """Front and back legs may count as two parts, but (except at the joints) no part mixes what is different."""
     shapes, truths = chairs
     proposal = propose_parts(shapes, one_group(6), rng=np.random.default_rng(0))
     part, truth = np.concatenate([s.argmax(axis=1) for s in proposal.segmentation]), np.concatenate(truths)
     assert len(proposal.part_names) in (3, 4)
-    assert all(len(set(truth[part == p])) == 1 for p in range(len(proposal.part_names)))
+    assert all(np.bincount(truth[part == p]).max() > 0.97 * (part == p).sum() for p in range(len(proposal.part_names)))
+
+
+def test_the_others_outvote_a_shape_whose_patches_are_wrong(chairs):
+    """One chair's patch lumps its back with its seat: the other chairs know better."""
+    shapes, truths = chairs
+    lumped = replace(shapes[2], patch=np.where(shapes[2].patch == 5, 4, shapes[2].patch))
+    proposal = propose_parts([*shapes[:2], lumped, *shapes[3:]], one_group(6), n_parts=3, rng=np.random.default_rng(0))
+    assert matched(proposal.segmentation, truths) > 0.98
 
 
 def test_rows_are_probabilities_with_the_agreed_certainty(chairs):
@@ -100,7 +109,7 @@ def test_single_shape_many_parts_and_ungrouped_shapes(chairs):
     assert alone.segmentation[0].shape[1] == 8 and np.allclose(alone.segmentation[0].sum(axis=1), 1)
     groups = Groups(("Group 1",), np.array([0, -1, 0, 0, 0, 0]), np.array([0]), np.zeros((6, 2)))
     proposal = propose_parts(shapes, groups, n_parts=3, rng=np.random.default_rng(0))
-    assert matched(proposal.segmentation, truths) > 0.9999
+    assert matched(proposal.segmentation, truths) > 0.99
 
 
 def test_common_frame_goes_through_the_groups_exemplar(chairs):
@@ -108,7 +117,8 @@ def test_common_frame_goes_through_the_groups_exemplar(chairs):
     groups = Groups(("Group 1", "Group 2"), np.array([0, 0, 0, 1, 1, 1]), np.array([0, 3]), np.zeros((6, 2)))
     frames = common_frame(shapes, groups)
     assert np.array_equal(frames[0].matrix, np.eye(3))
-    through = affine_align(shapes[3].points, shapes[0].points)(affine_align(shapes[4].points, shapes[3].points)(shapes[4].points))
+    first = affine_align(shapes[4].points, shapes[3].points)
+    through = affine_align(shapes[3].points, shapes[0].points)(first(shapes[4].points))
     assert np.allclose(frames[4](shapes[4].points), through)
     assert np.linalg.norm(through - shapes[4].points, axis=1).mean() > 1e-3
 
