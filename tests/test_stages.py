@@ -1,0 +1,335 @@
+"""The driver of the stages: keys and staleness, resuming after a kill, the same bytes for any number of workers."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from shapeforge import stages
+from shapeforge.collection.families import write_family
+from shapeforge.collection.iterate import last
+from shapeforge.deformation.hierarchy import Link
+from shapeforge.stages import Progress, StageError, next_step, run, status
+from shapeforge.stages_collection import merged_part_names
+from shapeforge.stages_model import on_template
+from shapeforge.store import PartNames, Project
+from shapeforge.workers import Workers
+
+POINTS, COUNT = 400, 6
+CLASSES = ["side", "armchair"]
+
+
+@pytest.fixture(scope="session")
+def family(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six generated chairs with labels, landmarks and classes."""
+    folder = tmp_path_factory.mktemp("family")
+    write_family(folder, "chairs", COUNT, seed=3, broken=0.0, classes=CLASSES)
+    return folder
+
+
+def import_and_group(path: Path, family: Path) -> Project:
+    project = Project.create(path)
+    last(run(project, "import", meshes=[family], points=POINTS))
+    last(run(project, "group", exemplars=["chair_0000", "chair_0001"]))
+    return project
+
+
+@pytest.fixture(scope="session")
+def grouped(tmp_path_factory: pytest.TempPathFactory, family: Path) -> Project:
+    return import_and_group(tmp_path_factory.mktemp("grouped") / "p", family)
+
+
+@pytest.fixture(scope="session")
+def done(tmp_path_factory: pytest.TempPathFactory, grouped: Project, family: Path) -> Project:
+    """A small project with every stage done; tests copy what they change."""
+    path = tmp_path_factory.mktemp("done") / "p"
+    shutil.copytree(grouped.path, path)
+    project = Project.open(path)
+    last(run(project, "label", labels=family, only="exemplars"))
+    last(run(project, "fit", rounds=2))
+    last(run(project, "learn", epochs=3))
+    last(run(project, "synthesize", count=2, out=str(path.parent / "new")))
+    return project
+
+
+def copy_of(project: Project, path: Path) -> Project:
+    shutil.copytree(project.path, path)
+    return Project.open(path)
+
+
+def states(project: Project) -> dict[str, str]:
+    return {stage: found.state for stage, found in status(project).items()}
+
+
+def contents(project: Project) -> dict[str, bytes]:
+    """All that the fit found, as bytes."""
+    found = {}
+    for name in project.fit_names:
+        beliefs = project.beliefs(name)
+        assert beliefs is not None
+        found[name] = b"".join(
+            np.ascontiguousarray(array).tobytes()
+            for array in (beliefs.deformed, beliefs.segmentation, project.positions(name), project.face_labels(name))
+        )
+    return found
+
+
+# -- what is done, missing, stale ------------------------------------------------------------------------------------
+
+
+def test_everything_is_done_once_and_then_left_alone(done: Project) -> None:
+    expected = dict.fromkeys(stages.STAGES, "done") | {"cosegment": "missing", "refine": "missing"}
+    assert states(done) == expected
+    assert "export" in next_step(done)
+    for stage in ("group", "fit", "learn", "synthesize"):
+        steps = list(run(done, stage))
+        assert [step.phase for step in steps] == ["done"] and "nothing to do" in steps[0].message
+    assert states(done) == expected
+
+
+def test_status_follows_the_pipeline(tmp_path: Path, grouped: Project) -> None:
+    empty = Project.create(tmp_path / "empty")
+    assert states(empty) == {stage: "missing" if stage == "import" else "locked" for stage in stages.STAGES}
+    assert "shapeforge import" in next_step(empty)
+    found = status(grouped)
+    assert found["label"].state == "missing" and found["fit"].state == "locked" and found["learn"].state == "locked"
+    assert "label" in found["fit"].reason and "chair_0000" in next_step(grouped)
+
+
+def test_new_labels_make_the_fit_stale_and_all_after_it(done: Project, tmp_path: Path) -> None:
+    project = copy_of(done, tmp_path / "p")
+    faces = project.labels("chair_0000")
+    assert faces is not None
+    faces[:5] = -1
+    project.set_labels("chair_0000", faces)
+    assert states(project)["fit"] == "stale" and states(project)["learn"] == "stale"
+    assert "labels" in status(project)["fit"].reason
+    project.set_labels("chair_0000", done.labels("chair_0000"))
+    assert states(project)["fit"] == "done" and states(project)["learn"] == "done"  # content counts, not time
+
+
+def test_other_options_make_a_stage_stale_and_say_so(done: Project, tmp_path: Path) -> None:
+    project = copy_of(done, tmp_path / "p")
+    old = project.fit()
+    steps = list(run(project, "fit", rounds=1))
+    assert steps[0].phase == "stale" and "rounds 1 instead of 2" in steps[0].message
+    assert project.fit().round == 1 and old.round == 2
+    assert status(project)["learn"].state == "stale" and "fit" in status(project)["learn"].reason
+    assert [step.phase for step in run(project, "fit")] == ["done"]  # options stay as they were given last
+    assert len(list((project.path / "fit").iterdir())) == 1  # the old results are gone
+
+
+def test_a_stale_stage_before_is_redone_first(done: Project, tmp_path: Path) -> None:
+    project = copy_of(done, tmp_path / "p")
+    project.set_labels("chair_0002", np.zeros(project.shape_record("chair_0002")["n_faces"], np.int32))
+    stages_run = {step.stage for step in run(project, "learn")}
+    assert stages_run == {"fit", "learn"}
+    assert states(project)["fit"] == "done" and states(project)["learn"] == "done"
+
+
+def test_old_results_stay_until_the_new_ones_are_complete(done: Project, tmp_path: Path) -> None:
+    project = copy_of(done, tmp_path / "p")
+    before = contents(project)
+    steps = run(project, "fit", restart=True)
+    while next(steps).phase != "fit":
+        pass
+    assert contents(project) == before
+    steps.close()
+    assert contents(project) == before and states(project)["fit"] == "partial"
+    last(run(project, "fit"))
+    assert contents(project) == before and states(project)["fit"] == "done"
+
+
+def test_importing_more_adds_and_changed_files_are_read_again(grouped: Project, family: Path, tmp_path: Path) -> None:
+    project = copy_of(grouped, tmp_path / "p")
+    more = tmp_path / "more"
+    write_family(more, "chairs", 1, seed=9, broken=0.0, classes=["stool"])
+    (more / "chair_0000.obj").rename(more / "stool.obj")
+    steps = list(run(project, "import", meshes=[more / "stool.obj"]))
+    assert steps[-1].of == COUNT + 1 and len(project.names) == COUNT + 1
+    assert status(project)["group"].state == "stale"
+    assert project.groups is not None and project.groups.group[project.index("stool")] == -1
+    before = project.shape_record("stool")
+    text = (more / "stool.obj").read_text()
+    (more / "stool.obj").write_text(text + "f 1 2 3\n")
+    assert status(project)["import"].state == "stale" and "stool" in status(project)["import"].reason
+    last(run(project, "import", meshes=[more / "stool.obj"]))
+    after = project.shape_record("stool")
+    assert after["n_faces"] == before["n_faces"] + 1 and after["key"] != before["key"]
+
+
+def test_other_points_prepare_all_shapes_again(grouped: Project, tmp_path: Path) -> None:
+    project = copy_of(grouped, tmp_path / "p")
+    last(run(project, "import", points=300))
+    assert {shape.n_points for shape in project.shapes} == {300}
+    assert project.stage_record("import")["summary"]["read"] == COUNT
+    last(run(project, "import"))
+    assert project.stage_record("import")["summary"] | {"kept": COUNT, "read": 0} == (
+        project.stage_record("import")["summary"]
+    )
+
+
+# -- what cannot be done ---------------------------------------------------------------------------------------------
+
+
+def test_unknown_names_are_refused_at_once(grouped: Project) -> None:
+    with pytest.raises(StageError, match="wanted one of import, group"):
+        run(grouped, "paint")
+    with pytest.raises(StageError, match="'speed': fit has rounds, inner, seed"):
+        run(grouped, "fit", speed=9)
+
+
+def test_a_fit_without_labels_says_which_shapes_to_label(grouped: Project, tmp_path: Path) -> None:
+    project = copy_of(grouped, tmp_path / "p")
+    with pytest.raises(StageError, match="needs parts. Label the exemplars .*chair_0000"):
+        last(run(project, "fit"))
+    project.set_part_names(PartNames((1,), ("leg",)))
+    project.set_labels("chair_0005", np.zeros(project.shape_record("chair_0005")["n_faces"], np.int32))
+    with pytest.raises(StageError, match="no exemplar has labels: label at least one of"):
+        last(run(project, "fit"))
+
+
+def test_part_names_keep_their_index() -> None:
+    first, second = PartNames((1, 2), ("back", "seat")), PartNames((2, 5), ("Seat", "arm"))
+    assert merged_part_names(None, second) == second
+    assert merged_part_names(first, second) == PartNames((1, 2, 5), ("back", "Seat", "arm"))
+
+
+# -- resuming --------------------------------------------------------------------------------------------------------
+
+RUN = """
+import sys
+from shapeforge.store import Project
+from shapeforge.stages import run
+project = Project.open_or_create(sys.argv[1])
+options = {"meshes": [sys.argv[3]], "points": int(sys.argv[4])} if sys.argv[2] == "import" else {"rounds": 4}
+for progress in run(project, sys.argv[2], jobs=1, **options):
+    print(progress.phase, progress.step, flush=True)
+"""
+
+
+def killed_after(path: Path, stage: str, line: str, *more: object) -> None:
+    """Run a stage in another process and kill it (-9) once it has printed a line."""
+    command = [sys.executable, "-c", RUN, str(path), stage, *map(str, more)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"}) as p:
+        assert p.stdout is not None
+        for printed in p.stdout:
+            if printed.strip() == line:
+                p.send_signal(signal.SIGKILL)
+                break
+        else:
+            pytest.fail(f"{stage} never printed {line!r}")
+
+
+def test_a_killed_fit_goes_on_and_ends_with_the_same_bytes(grouped: Project, family: Path, tmp_path: Path) -> None:
+    unbroken = copy_of(grouped, tmp_path / "unbroken")
+    last(run(unbroken, "label", labels=family, only="exemplars"))
+    broken = copy_of(unbroken, tmp_path / "broken")
+    last(run(unbroken, "fit", rounds=4))
+    killed_after(broken.path, "fit", "fit 2")
+    broken = Project.open(broken.path)
+    assert status(broken)["fit"].state == "partial" and broken.fit() is None
+    steps = list(run(broken, "fit", rounds=4))
+    assert "goes on after round" in steps[0].message and steps[0].step >= 2
+    assert contents(broken) == contents(unbroken)
+    assert len(broken.rounds("chair_0000")) == 5
+
+
+def test_a_killed_import_goes_on(family: Path, grouped: Project, tmp_path: Path, monkeypatch) -> None:
+    killed_after(tmp_path / "p", "import", "read 3", family, POINTS)
+    project = Project.open(tmp_path / "p")
+    assert status(project)["import"].state in ("partial", "missing")
+    last(run(project, "import"))  # it remembers what it was given
+    assert project.names == grouped.names
+    for mine, other in zip(project.shapes, grouped.shapes, strict=True):
+        assert np.array_equal(mine.points, other.points) and np.array_equal(mine.descriptors, other.descriptors)
+
+
+def test_a_watched_fit_equals_an_unwatched_one_whatever_the_workers(
+    done: Project, tmp_path: Path
+) -> None:
+    for jobs in (1, 3):
+        project = copy_of(done, tmp_path / f"jobs{jobs}")
+        for progress in run(project, "fit", restart=True, jobs=jobs):
+            assert isinstance(progress, Progress)
+            if progress.state is not None and jobs == 3:
+                np.linalg.norm(progress.state.templates[0].points)
+        assert contents(project) == contents(done)
+
+
+def test_workers_take_their_input_as_they_go() -> None:
+    """Results in order, no more than twice as many shapes in flight as workers, errors come through."""
+    taken: list[int] = []
+    lock = threading.Lock()
+    given = 0
+
+    def shapes() -> object:
+        nonlocal given
+        for i in range(40):
+            with lock:
+                taken.append(i)
+                assert len(taken) - given <= 2 * 3 + 1
+            yield i
+
+    workers = Workers(3)
+
+    def work(i: int) -> int:
+        time.sleep(0.001 * (i % 3))
+        return i * i
+
+    for i, result in enumerate(workers.map(work, shapes())):
+        with lock:
+            given += 1
+        assert result == i * i
+    with pytest.raises(ZeroDivisionError):
+        list(workers.map(lambda i: 1 // i, [1, 0]))
+    workers.close()
+    with pytest.raises(ValueError, match="jobs: wanted at least 1, got 0"):
+        Workers(0)
+
+
+# -- refine ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_prior_reaches_the_template_points_it_is_about() -> None:
+    """Against the definition in loops: the precision-weighted mean over the top-level points a template point is in."""
+    rng = np.random.default_rng(0)
+    k, n = 7, 5
+    index, weight = rng.integers(0, n - 1, (k, 3)).astype(np.int32), rng.random((k, 3))
+    exists = np.array([True] * (k - 1) + [False])
+    mean, precision = rng.random((k, 3)), rng.random((k, 3))
+    mean[2] = np.nan
+    got_mean, got_precision = on_template(mean, precision, Link(index, weight, exists), n)
+    for i in range(n):
+        for axis in range(3):
+            total = moment = 0.0
+            for a in range(k):
+                for j in range(3):
+                    if index[a, j] == i and exists[a] and a != 2:
+                        total += weight[a, j] * precision[a, axis]
+                        moment += weight[a, j] * precision[a, axis] * mean[a, axis]
+            assert got_precision[i, axis] == pytest.approx(total)
+            assert got_mean[i, axis] == pytest.approx(moment / total if total else 0.0)
+    assert (got_precision[n - 1] == 0).all()
+
+
+@pytest.mark.slow
+def test_refine_replaces_fit_and_machine(done: Project, tmp_path: Path) -> None:
+    project = copy_of(done, tmp_path / "p")
+    before, machine = contents(project), project.machine()
+    last(run(project, "refine", alternations=1))
+    assert states(project)["refine"] == "done" and states(project)["synthesize"] == "stale"
+    assert project.fit_stage == project.machine_stage == "refine"
+    assert contents(project) != before and project.fit().round == 4
+    assert not np.array_equal(project.machine().weights12, machine.weights12)
+    last(run(project, "fit", rounds=1))
+    assert project.fit_stage == "fit" and states(project)["refine"] == "stale"
