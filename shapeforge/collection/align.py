@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from shapeforge.collection._kernels_align import symmetric_icp
+from shapeforge.collection._kernels_align import add_moments, nearest_both_ways
 
 STARTS = ("box", "identity", "spread")
 SMALLEST_STRETCH, LARGEST_STRETCH, LARGEST_SHEAR = 1 / 3, 3.0, 0.5
+SETTLED = 2e-4  # largest change of the map's entries in a step below which it has converged
 KEPT_SHARE = 0.9  # of the distances, in the trimmed residual: a tenth may belong to parts that only one shape has
 
 
@@ -72,13 +73,9 @@ def affine_align(
         raise ValueError(f"starts: wanted some of {STARTS}, got {tuple(starts)}; usually a misspelt name")
     best: Alignment | None = None
     for name in starts:
-        matrix, offset = _start(name, a, b)
-        matrix, offset, residual = symmetric_icp(
-            a, b, matrix, offset, ridge, max_iterations, 2e-4, KEPT_SHARE,
-            SMALLEST_STRETCH, LARGEST_STRETCH, LARGEST_SHEAR,
-        )  # fmt: skip
+        matrix, offset, residual = _closest_points(a, b, *_start(name, a, b), ridge, max_iterations)
         if best is None or residual < best.residual:
-            best = Alignment(matrix, offset, float(residual), name)
+            best = Alignment(matrix, offset, residual, name)
     assert best is not None
     return best
 
@@ -90,6 +87,67 @@ def _checked(argument: str, points: np.ndarray, count: int) -> np.ndarray:
     if not np.isfinite(picked).all():
         raise ValueError(f"{argument}: wanted finite coordinates, got NaN or infinity; usually a broken mesh")
     return picked
+
+
+def _closest_points(
+    source: np.ndarray, target: np.ndarray, start: np.ndarray, offset: np.ndarray, ridge: float, max_iterations: int
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """One start of symmetric, robust, ridge-regularised affine ICP: (matrix, offset, residual).
+
+    Each iteration pairs every moved source point with its nearest target point and the other way round, weighs pairs
+    with a scale that anneals towards the typical distance, and solves the weighted least squares for the affine map,
+    pulled towards the start by ``ridge`` times the mean variance of the source.
+    """
+    matrix = start
+    fixed = np.ascontiguousarray(target.T, np.float32)
+    pairs = [np.empty(size, kind) for size in (len(source), len(target)) for kind in (np.int32, np.float32)]
+    # The first scale lets a fifth of the target's size pass, so that legs of another length still pull.
+    wide = 0.2 * float(np.linalg.norm(np.ptp(target, axis=0)))
+    for _ in range(max_iterations):
+        nearest_both_ways(_moved(source, matrix, offset), fixed, *pairs)
+        typical = 0.5 * float(np.sqrt(np.median(pairs[1])) + np.sqrt(np.median(pairs[3])))
+        moments = np.zeros(25)
+        add_moments(source, target, *pairs, max(4.0 * typical, wide) ** 2 + 1e-12, moments)
+        wide *= 0.8
+        moments = moments / moments[0]
+        mean_source, mean_target = moments[1:4], moments[4:7]
+        second = moments[7:16].reshape(3, 3) - np.outer(mean_source, mean_source)
+        cross = moments[16:].reshape(3, 3) - np.outer(mean_target, mean_source)
+        pull = ridge * np.trace(second) / 3 + 1e-12
+        fitted = _bounded(np.linalg.solve(second + pull * np.eye(3), (cross + pull * start).T).T, start)
+        through = mean_target - fitted @ mean_source
+        change = max(np.abs(fitted - matrix).max(), np.abs(through - offset).max())
+        matrix, offset = fitted, through
+        if change < SETTLED:
+            break
+    nearest_both_ways(_moved(source, matrix, offset), fixed, *pairs)
+    return matrix, offset, 0.5 * (_trimmed_mean(pairs[1]) + _trimmed_mean(pairs[3]))
+
+
+def _moved(source: np.ndarray, matrix: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """Moved points, coordinates first (3, n), as the kernel wants them."""
+    return np.ascontiguousarray(matrix @ source.T + offset[:, None], np.float32)
+
+
+def _trimmed_mean(squared: np.ndarray) -> float:
+    """Mean of the smaller distances, from squared ones."""
+    kept = max(1, int(KEPT_SHARE * len(squared)))
+    return float(np.sqrt(np.sort(squared)[:kept]).mean(dtype=np.float64))
+
+
+def _bounded(matrix: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """``matrix`` with bounded stretches and bounded shear relative to ``start``; ``start`` where it would mirror."""
+    if np.linalg.det(matrix) <= 0:
+        return start
+    left, stretch, right = np.linalg.svd(matrix)
+    if stretch.min() < SMALLEST_STRETCH or stretch.max() > LARGEST_STRETCH:
+        matrix = (left * np.clip(stretch, SMALLEST_STRETCH, LARGEST_STRETCH)) @ right
+    change = matrix @ np.linalg.inv(start)
+    sheared = np.where(np.eye(3) > 0, change, np.clip(change, -LARGEST_SHEAR, LARGEST_SHEAR))
+    if (sheared == change).all():
+        return matrix
+    matrix = sheared @ start
+    return matrix if np.linalg.det(matrix) > 0 else start
 
 
 def _start(name: str, source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

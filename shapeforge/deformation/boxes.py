@@ -189,7 +189,7 @@ def vote(
 
 
 def _likeness(shape: Shape, frame: Alignment, normal: np.ndarray, offset: float) -> np.ndarray:
-    """Rows (P, 8), near for like points: place folded at the mirror plane, squared normal, thickness, geodesic distance."""
+    """Rows (P, 8), near for like points: place folded at the mirror plane, squared normal, thickness, geodesics."""
     places, normals = _placed(shape, frame, normal, offset)
     places = np.concatenate([np.abs(places[:, :1]), places[:, 1:]], axis=1)
     described = shape.descriptors[:, [0, 3]] * [2, 1]
