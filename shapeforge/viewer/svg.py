@@ -8,6 +8,7 @@ from html import escape
 
 import numpy as np
 
+Numbers = Sequence[float | int] | np.ndarray
 LEFT, RIGHT, TOP, BOTTOM = 76, 16, 14, 42
 
 
@@ -16,12 +17,12 @@ class Series:
     """One line of a plot: values at the plot's places, NaN where there is none; ``colour`` is any CSS colour."""
 
     name: str
-    values: Sequence[float] | np.ndarray
+    values: Numbers
     colour: str = "var(--accent)"
 
 
 def curve(
-    at: Sequence[float] | np.ndarray,
+    at: Numbers,
     series: Sequence[Series],
     *,
     x_label: str,
@@ -83,7 +84,7 @@ def curve(
 
 
 def histogram(
-    counts: Sequence[float] | np.ndarray, edges: Sequence[float] | np.ndarray, *, title: str, width: int = 200,
+    counts: Numbers, edges: Numbers, *, title: str, width: int = 200,
     height: int = 44,
 ) -> str:  # fmt: skip
     """Bars between ``edges`` without axes, for under a slider; zero is marked when it is in the range."""
@@ -106,9 +107,7 @@ def histogram(
     return "".join(parts) + "</svg>"
 
 
-def shares(
-    values: Sequence[float], names: Sequence[str], colours: Sequence[str], *, title: str, width: int = 200
-) -> str:
+def shares(values: Numbers, names: Sequence[str], colours: Sequence[str], *, title: str, width: int = 200) -> str:
     """One bar cut into coloured shares (they are scaled to fill it)."""
     total = max(float(np.sum(values)), 1e-12)
     parts, x = [_start(title, width, 8, stretch=True)], 0.0
