@@ -87,6 +87,8 @@ def open_window(qtbot) -> Iterator[Callable]:
             window.session.place = place
         window.show()
         qtbot.waitExposed(window)
+        window.activateWindow()
+        qtbot.waitUntil(window.isActiveWindow)
         return window
 
     yield make

@@ -120,7 +120,7 @@ class Scrubber(QWidget):
         self._pictures = pictures
         self.update()
 
-    def x_of(self, number: float) -> float:
+    def x_of(self, number: float | int) -> float:
         """Where a round is, in pixels."""
         return 26 + (self.width() - 52) * number / self.of
 

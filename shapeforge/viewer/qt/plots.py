@@ -52,7 +52,7 @@ class Curves(QWidget):
         self._draw()
 
     def set_series(
-        self, series: Sequence[tuple[Sequence[float], Sequence[float], str]], last: int, at: float | None
+        self, series: Sequence[tuple[Sequence[float | int], Sequence[float], str]], last: int, at: float | None
     ) -> None:
         """``series`` are (x, y, "#RRGGBB"); ``last`` is the end of the x axis, ``at`` where the dotted line stands."""
         self._series = [(np.asarray(x, float), np.asarray(y, float), colour) for x, y, colour in series]

@@ -1,0 +1,236 @@
+"""Fit: it runs, pauses, steps and stops; looking changes nothing; every number shown is the fit's own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PySide6.QtCore import QPoint, Qt
+from PySide6.QtGui import QColor
+
+from shapeforge import stages
+from shapeforge.store import Project
+from shapeforge.viewer.fit_display import FittedPoints, TemplateLook, movement, point_colours, sureness, to_plane
+from shapeforge.viewer.palette import PARTS, SWITCHED_OFF, rgb
+from shapeforge.viewer.qt.fit_panel import FitPlace
+from shapeforge.viewer.qt.fit_widgets import draw_points
+from shapeforge.viewer.qt.plots import nice_ticks
+
+LEFT = Qt.MouseButton.LeftButton
+LONG = 240000
+
+
+# -- what is shown ---------------------------------------------------------------------------------------------------
+
+
+def points(positions: np.ndarray, active: tuple[bool, ...] = (True, True), template: int = 0) -> FittedPoints:
+    return FittedPoints(positions.astype(np.float32), template, np.array(active))
+
+
+LOOK = TemplateLook(np.array([0, 0, 1, 1]), ("back", "seat"), "a")
+
+
+def test_switched_off_parts_are_grey():
+    colours = point_colours(LOOK, points(np.zeros((4, 3)), (True, False)), "part")
+    assert [tuple(c) for c in colours] == [rgb(PARTS[0])] * 2 + [rgb(SWITCHED_OFF)] * 2
+
+
+def test_movement_is_per_point_and_only_within_a_template():
+    before, now = points(np.zeros((4, 3))), points(np.eye(4, 3) * 0.01)
+    np.testing.assert_allclose(movement(now, before), [0.01, 0.01, 0.01, 0], atol=1e-7)
+    assert movement(now, None) is None
+    assert movement(now, points(np.zeros((4, 3)), template=1)) is None
+    assert movement(now, points(np.zeros((5, 3)))) is None
+
+
+def test_sureness_of_a_part_without_points_is_unknown():
+    sure = sureness(np.array([[0.9, 0.1, 0.0], [0.7, 0.3, 0.0], [0.4, 0.6, 0.0]]))
+    np.testing.assert_allclose(sure[:2], [0.8, 0.6])
+    assert np.isnan(sure[2])
+
+
+def test_seen_from_the_front_right_is_right_and_up_is_up():
+    flat = to_plane(np.eye(3), (0.0, 0.0, 1.0))
+    np.testing.assert_allclose(flat, [[1, 0, 0], [0, -1, 0], [0, 0, 1]], atol=1e-12)
+
+
+def test_the_nearest_point_is_drawn_last():
+    positions = np.array([[0, 0, 0.5], [0, 0, -0.5], [1, 1, 0], [-1, -1, 0]], float)
+    inks = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [0, 0, 255]], np.uint8)
+    for order in ([0, 1, 2, 3], [3, 2, 1, 0]):
+        image = draw_points(positions[order], inks[order], (41, 41), (0.0, 0.0, 1.0), 3)
+        middle = QColor(image.pixelColor(20, 20))
+        assert (middle.red(), middle.green()) == (255, 0)
+
+
+@pytest.mark.parametrize(("low", "high"), [(2.2, 3.9), (0.0, 1e-6), (-12.4, -11.9), (0.0, 97.0), (1.0, 1.0001)])
+def test_ticks_enclose_the_values_and_are_few(low, high):
+    ticks = nice_ticks(low, high)
+    assert 2 <= len(ticks) <= 6
+    assert ticks[0] <= low + 1e-9 and ticks[-1] >= high - 1e-9
+    np.testing.assert_allclose(np.diff(ticks), ticks[1] - ticks[0], rtol=1e-6)
+
+
+# -- the place -------------------------------------------------------------------------------------------------------
+
+
+def place_of(window) -> FitPlace:
+    place = window.place("fit")
+    place._soon.stop()
+    place._show_all()
+    return place
+
+
+def test_a_finished_fit_is_shown_from_disk(open_window, fitted, qtbot):
+    window = open_window(fitted, "fit")
+    place = place_of(window)
+    state = fitted.fit()
+    assert place.round_text.text() == f"Round {state.round} of {state.of}"
+    np.testing.assert_allclose(place.energy.values[0][-1], state.energy)
+    np.testing.assert_allclose([curve[-1] for curve in place.sigma.values], 100 * state.sigma_by_part, rtol=1e-6)
+    assert place.run.text() == "Run again"
+    assert place.next.isVisible()
+    assert place.scrubber.recorded == state.round == place.scrubber.at
+
+
+def test_three_views_show_the_shape_the_points_and_the_parts(open_window, fitted, qtbot):
+    window = open_window(fitted, "fit")
+    place = place_of(window)
+    display = place.view.shown
+    assert len(display.views) == 3
+    name = window.session.shape
+    beliefs = fitted.beliefs(name)
+    shown = sum(len(layer.positions) for layer in display.views[1].layers if layer.key in ("points", "off"))
+    assert shown == len(beliefs.deformed)
+    qtbot.waitUntil(lambda: place.view.frames > 0)
+    qtbot.wait(300)
+    picture = place.view.picture().astype(int)
+    third = picture[:, 2 * picture.shape[1] // 3 :]
+    first = picture[:, : picture.shape[1] // 3]
+    colourful = np.ptp(third, axis=2) > 60
+    assert colourful.mean() > 0.01, "the probable parts are in colour"
+    assert (np.ptp(first, axis=2) > 60).mean() < 0.001, "the input is grey"
+
+
+def test_dragging_the_scrubber_looks_back_and_forth(open_window, fitted, qtbot):
+    window = open_window(fitted, "fit")
+    place = place_of(window)
+    y = 60
+    newest = place.record.newest
+    qtbot.mouseClick(place.scrubber, LEFT, pos=QPoint(round(place.scrubber.x_of(0)), y))
+    assert window.session.round == 0
+    place._show_all()
+    name = window.session.shape
+    want = np.asarray(fitted.rounds(name)[0], float)
+    layers = [layer for layer in place.view.shown.views[1].layers if layer.key in ("points", "off")]
+    got = np.concatenate([layer.positions for layer in layers])
+    assert {tuple(np.round(p, 3)) for p in got} == {tuple(np.round(p, 3)) for p in want}
+    qtbot.mouseClick(place.scrubber, LEFT, pos=QPoint(round(place.scrubber.x_of(newest)), y))
+    assert window.session.round is None
+
+
+def test_watching_another_shape(open_window, fitted, qtbot):
+    window = open_window(fitted, "fit")
+    place = place_of(window)
+    other = next(one for one in place.also if one.name != window.session.shape)
+    qtbot.mouseClick(other, LEFT)
+    assert window.session.shape == other.name
+    qtbot.waitUntil(lambda: place.heads[0][1].full_text().startswith(other.name))
+    assert other.name in place.parts_title.text() and other.name in place.correct.text()
+
+
+def test_the_grid_shows_all_watched_shapes(open_window, fitted, qtbot):
+    window = open_window(fitted, "fit")
+    place = place_of(window)
+    qtbot.mouseClick(place.mode.button("grid"), LEFT)
+    names = {window.session.shape, *window.session.watched}
+    shown = {view.captions[0].lines[0][0] for view in place.view.shown.views if view.captions}
+    assert shown == names
+
+
+def test_turning_the_view_turns_the_small_pictures(open_window, fitted, qtbot):
+    window = open_window(fitted, "fit")
+    place = place_of(window)
+    before = place.also[0]._direction
+    place.view.turn(120, 0)
+    assert place.also[0]._direction != before
+    place.linked.setChecked(False)
+    assert place.also[0]._direction == (1.0, 0.6, 1.5)
+
+
+def test_correcting_goes_to_paint_with_the_shape(open_window, fitted, qtbot, monkeypatch):
+    window = open_window(fitted, "fit")
+    place = place_of(window)
+    name = window.session.shape
+    monkeypatch.setattr(window, "_show_place", lambda: None)
+    qtbot.mouseClick(place.correct, LEFT)
+    assert (window.session.place, window.session.shape) == ("paint", name)
+
+
+def test_running_pausing_stepping_stopping(open_window, fitted, qtbot):
+    window = open_window(fitted, "fit")
+    session, place = window.session, place_of(window)
+    qtbot.mouseClick(place.step, LEFT)
+    assert session.running and session.stage == "fit"
+    assert window.rail.places["fit"].mark == "running"
+    qtbot.waitUntil(lambda: window.runner.paused, timeout=LONG)
+    qtbot.wait(50)
+    assert place.record.newest == 0, "a step is one round: the affine start"
+    qtbot.mouseClick(place.step, LEFT)
+    qtbot.waitUntil(lambda: place.record.newest == 1 and window.runner.paused, timeout=LONG)
+    qtbot.wait(50)
+    assert np.isfinite(place.energy.values[0][-1])
+    can, why = window.actions_table.verdict("correct")
+    assert not can and "Stop" in why
+    qtbot.mouseClick(place.stop, LEFT)
+    qtbot.waitUntil(lambda: not session.running, timeout=LONG)
+    assert session.status_kind == "warning" and "goes on" in session.status
+    assert stages.status(Project.open(fitted.path))["fit"].state == "partial"
+    assert place.run.text() == "Go on"
+
+
+def bytes_of(project: Project) -> dict[str, bytes]:
+    """All results of the fit of every shape, and the templates."""
+    found = {}
+    for name in project.fit_names:
+        beliefs = project.beliefs(name)
+        found[name] = b"".join(
+            np.ascontiguousarray(array).tobytes()
+            for array in (beliefs.deformed, beliefs.variance, beliefs.maps, beliefs.segmentation, project.face_labels(name))
+        )
+    state = project.fit()
+    found["templates"] = b"".join(np.ascontiguousarray(t.points).tobytes() for t in state.templates)
+    found["energy"] = np.float64(state.energy).tobytes()
+    return found
+
+
+def test_a_watched_fit_equals_an_unwatched_fit_bit_for_bit(open_window, fitted, qtbot):
+    unwatched = bytes_of(fitted)  # made by the stages alone, with nobody watching
+    window = open_window(fitted, "fit")
+    session, place = window.session, place_of(window)
+    session.watched = fitted.names
+    qtbot.mouseClick(place.run, LEFT)
+    turns = 0
+    while session.running:
+        session.shape = fitted.names[turns % len(fitted.names)]  # look around meanwhile
+        turns += 1
+        qtbot.wait(30)
+        assert turns < 5000
+    assert session.status_kind == "ok", session.status
+    watched = bytes_of(Project.open(fitted.path))
+    assert watched.keys() == unwatched.keys()
+    for name in unwatched:
+        assert watched[name] == unwatched[name], name
+
+
+def test_a_run_that_was_stopped_ends_like_one_that_was_not(open_window, fitted, qtbot):
+    whole = bytes_of(fitted)
+    window = open_window(fitted, "fit")
+    session, place = window.session, place_of(window)
+    qtbot.mouseClick(place.step, LEFT)
+    qtbot.waitUntil(lambda: place.record.newest == 0 and window.runner.paused, timeout=LONG)
+    window.close()  # in the middle of a fit
+    again = open_window(Project.open(fitted.path), "fit")
+    qtbot.mouseClick(place_of(again).run, LEFT)
+    qtbot.waitUntil(lambda: not again.session.running, timeout=LONG)
+    assert again.session.status_kind == "ok", again.session.status
+    assert bytes_of(Project.open(fitted.path)) == whole
