@@ -19,6 +19,8 @@ def nearest_both_ways(a, b, nearest_of_a, squared_of_a, nearest_of_b, squared_of
     """
     n, m = a.shape[1], b.shape[1]
     row = np.empty(m, np.float32)
+    # Floats that are not negative are ordered as their bits are, and the least of integers vectorises.
+    bits = row.view(np.int32)
     for j in range(m):
         squared_of_b[j] = np.inf
         nearest_of_b[j] = 0
@@ -27,13 +29,13 @@ def nearest_both_ways(a, b, nearest_of_a, squared_of_a, nearest_of_b, squared_of
         for j in range(m):
             dx, dy, dz = b[0, j] - x, b[1, j] - y, b[2, j] - z
             row[j] = dx * dx + dy * dy + dz * dz
-        least = row[0]
+        least = bits[0]
         for j in range(m):
-            least = min(least, row[j])
-        squared_of_a[i] = least
+            least = min(least, bits[j])
         for j in range(m):
-            if row[j] == least:
+            if bits[j] == least:
                 nearest_of_a[i] = j
+                squared_of_a[i] = row[j]
                 break
         for j in range(m):
             closer = row[j] < squared_of_b[j]
