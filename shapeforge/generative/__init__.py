@@ -1,6 +1,7 @@
 """§5, the Beta Shape Machine: P_bsm(D, H, G, E) over corresponding points and the existence of parts.
 
-Read in this order: ``observations`` (what the machine sees), ``machine`` (Eq. 2, in natural centred form), ``inference``
-(mean field), ``pretraining`` and ``finetuning`` (one step of each), ``learning`` (the loop), ``structure`` (which parts
-exist), ``draw`` (new shapes), ``units`` (what is worth a slider), ``joint`` (the machine as a prior of the fit).
+Read in this order: ``observations`` (what the machine sees), ``machine`` (Eq. 2 in natural centred form), ``energy``
+and ``paper_form`` (Eq. 2 for tests, and as printed), ``inference`` (mean field), ``pretraining`` and ``finetuning``
+(one step of each), ``learning`` (the loop), ``structure`` (which parts exist), ``draw`` (new shapes), ``units`` (what
+is worth a slider), ``joint`` (the machine as a prior of the fit).
 """

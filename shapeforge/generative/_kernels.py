@@ -28,15 +28,6 @@ def adam_step(parameter, gradient, first, second, rate, decay, step):
 
 
 @njit(cache=True, nogil=True)
-def momentum_step(parameter, gradient, velocity, rate, momentum, decay):
-    """velocity <- momentum velocity + rate (gradient - decay parameter); parameter <- parameter + velocity, in place."""
-    for i in range(parameter.size):
-        moved = momentum * velocity[i] + rate * (gradient[i] - decay * parameter[i])
-        velocity[i] = moved
-        parameter[i] += moved
-
-
-@njit(cache=True, nogil=True)
 def beta_means(both, rest, floor):
     """Means of Betas, and [α, β] in place.  ``both`` (R, 2F) holds W(h-ν) on entry; ``rest`` (2F) is Ā."""
     rows, n = both.shape[0], both.shape[1] // 2
@@ -53,7 +44,7 @@ def beta_means(both, rest, floor):
 
 @njit(cache=True, nogil=True)
 def reconstruction_loss(both, rest, target, row_weight, rounding, floor):
-    """Weighted sum of sqrt(residual^2 + rounding^2) per row, and its derivative in place of ``both``.
+    """Sum of sqrt(residual^2 + rounding^2) per row, and its weighted derivative in place of ``both``.
 
     ``both`` (R, 2F) holds W(h-ν) on entry and d loss / d [α, β] on return; ``rest`` (2F) is Ā; row r is compared with
     ``target`` (B, F) row r mod B and counts ``row_weight[r]``.  Where α or β sits on the floor its derivative is 0.

@@ -1,4 +1,4 @@
-"""What the machine must be compared with: principal components per combination of parts, and kernels on their scores."""
+"""What the machine is compared with: principal components per combination of parts, and kernels on their scores."""
 
 from __future__ import annotations
 

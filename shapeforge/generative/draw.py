@@ -119,7 +119,8 @@ def draw(
         weight = np.exp(fit - logsumexp(fit))
     chosen = rng.choice(len(weight), n, p=weight / weight.sum())
     if exists is None:
-        states = np.stack([mixture.patterns[rng.choice(len(mixture.patterns), p=mixture.pattern_weight[c])] for c in chosen])
+        which = [rng.choice(len(mixture.patterns), p=mixture.pattern_weight[c]) for c in chosen]
+        states = mixture.patterns[which]
     else:
         states = np.broadcast_to(exists, (n, len(exists))).copy()
     probability = sigmoid(logit(mixture.top[chosen]) / temperature)

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from shapeforge.generative._kernels import adam_step
 from shapeforge.generative.finetuning import Batch, TopPrior, loss_and_gradient
-from shapeforge.generative.inference import Latents, decode, infer
+from shapeforge.generative.inference import Latents, decode, infer, sigmoid
 from shapeforge.generative.machine import BetaShapeMachine, project, recentre, start_machine
 from shapeforge.generative.observations import LIMIT, Observations
 from shapeforge.generative.pretraining import BATCH, pretrain_pair, pretrain_points
@@ -62,7 +62,7 @@ def learn_machine(
     start: BetaShapeMachine | None = None,
     patience: float = 0.35,
 ) -> Iterator[LearnState]:
-    """Learn a machine; one state per epoch.  The last state holds the best machine by held-out error.
+    """Learn a machine; one state per epoch.  The last state holds the best machine by held-out error (see ``_score``).
 
     ``epochs`` of fine-tuning (default: enough for about 1600 steps) and ``pretraining`` epochs per layer; a share
     ``validation`` of the shapes is held out unless there are fewer than 10.  ``start`` continues from a machine (its
@@ -78,6 +78,7 @@ def learn_machine(
         )
     run = map if executor is None else executor.map
     train, held_out = _split(observations, validation, rng)
+    n_held_out = 0 if held_out is None else held_out.n_shapes
     batch_size = min(BATCH, train.n_shapes)
     steps = -(-train.n_shapes // batch_size)
     wanted = STEPS if start is None else STEPS // 3
@@ -103,7 +104,7 @@ def learn_machine(
             if epoch % every and epoch < n_epochs:
                 continue
             state = _measure(tuner.machine, train, held_out, done + epoch, total)
-        if best is None or _score(state) < _score(best):
+        if best is None or _score(state, n_held_out) < _score(best, n_held_out):
             best, waited = state, 0
         else:
             waited += 1
@@ -167,27 +168,22 @@ def _pretrain(machine, train, rng, epochs, run):
     layers = pretrain_points(machine, train, rng=rng, epochs=epochs, run=run)
     for machine, error in _one_thread(layers):
         yield "layer1", machine, error * machine.diagonals_per_unit
-    names = (("bias1", "weights12", "bias2", "centre1", "centre2"), ("bias2", "weights23", "bias3", "centre2", "centre3"))
+    # The lower bias of a pair belongs to a machine without the layers below it.  It is used to learn the pair and then
+    # dropped: H1 keeps the bias it learned with the points, H2 the one it learned with H1.
     lower = infer(machine, train.values, train.exists, rounds=1).hidden1
-    machine = recentre(machine, np.clip(lower.mean(axis=0), 0.02, 0.98), machine.centre2, machine.centre3)
-    for phase, (low_bias, weights, bias, low_centre, centre) in zip(("layer2", "layer3"), names, strict=True):
-        before = machine
-        pair = pretrain_pair(lower, len(getattr(machine, bias)), rng=rng, epochs=epochs)
-        for arrays, error in _one_thread(pair):
-            # The lower bias learned here belongs to a machine without the layer below it: for H1 the points' own
-            # bias stays; for H2 it is the bias learned one layer down.
-            machine = replace(
-                before,
-                **{weights: arrays["weights"], bias: arrays["upper_bias"], centre: arrays["upper_centre"]},
-                **{low_centre: arrays["lower_centre"]},
-            )
-            if low_centre == "centre1":
-                machine = replace(recentre(before, arrays["lower_centre"], before.centre2, before.centre3), **{
-                    weights: arrays["weights"], bias: arrays["upper_bias"], centre: arrays["upper_centre"],
-                })  # fmt: skip
-            yield phase, machine, error
-        moved = lower - arrays["lower_centre"]
-        lower = 1 / (1 + np.exp(-(arrays["upper_bias"] + moved @ arrays["weights"])))
+    start = recentre(machine, np.clip(lower.mean(axis=0), 0.02, 0.98), machine.centre2, machine.centre3)
+    for arrays, error in _one_thread(pretrain_pair(lower, len(machine.bias2), rng=rng, epochs=epochs)):
+        machine = replace(
+            start, weights12=arrays["weights"], bias2=arrays["upper_bias"], centre2=arrays["upper_centre"]
+        )
+        yield "layer2", machine, error
+    lower = sigmoid(machine.bias2 + (lower - machine.centre1) @ machine.weights12)
+    start = recentre(machine, machine.centre1, np.clip(lower.mean(axis=0), 0.02, 0.98), machine.centre3)
+    for arrays, error in _one_thread(pretrain_pair(lower, len(machine.bias3), rng=rng, epochs=epochs)):
+        machine = replace(
+            start, weights23=arrays["weights"], bias3=arrays["upper_bias"], centre3=arrays["upper_centre"]
+        )
+        yield "layer3", machine, error
 
 
 def _one_thread(steps: Iterator) -> Iterator:
@@ -210,7 +206,8 @@ class _Tuner:
     @classmethod
     def start(cls, machine: BetaShapeMachine, train: Observations, rng: np.random.Generator, n_steps: int) -> _Tuner:
         latents = infer(machine, train.values, train.exists)
-        means = [np.clip(layer.mean(axis=0), 0.05, 0.95) for layer in (latents.hidden1, latents.hidden2, latents.hidden3)]
+        layers = (latents.hidden1, latents.hidden2, latents.hidden3)
+        means = [np.clip(layer.mean(axis=0), 0.05, 0.95) for layer in layers]
         machine = recentre(machine, *means)
         prior = TopPrior(np.zeros_like(machine.bias3), np.zeros_like(machine.existence_top))
         return cls(project(machine).copy(), prior, n_steps)
@@ -263,7 +260,7 @@ def vary(
 ) -> Float[np.ndarray, "n K 3"]:
     """Shapes like these: each moved some way towards a random combination of those with the same parts.
 
-    A family of some tens of shapes leaves its own space nearly empty, and a machine this size learns them by heart.  The
+    A family of some tens of shapes leaves its own space nearly empty, and a machine this size learns it by heart.  The
     combinations are Gaussian with the covariance of the shapes at hand.  ``population`` (n,) is how many shapes of the
     family have the same parts: the fewer, the further each is moved, and the wider than the sample's own covariance
     (which underestimates) the combinations reach.
@@ -318,8 +315,15 @@ def dead_units(machine: BetaShapeMachine, latents: Latents) -> tuple[float, floa
     return shares[0], shares[1], shares[2]
 
 
-def _score(state: LearnState) -> float:
-    return state.held_out_error if np.isfinite(state.held_out_error) else state.train_error
+def _score(state: LearnState, n_held_out: int) -> float:
+    """What the best machine is chosen by: the held-out error, leaning on the training error when few shapes judge.
+
+    Four held-out shapes alone pick an early machine by chance.
+    """
+    if n_held_out == 0:
+        return state.train_error
+    trust = n_held_out / (n_held_out + 10)
+    return trust * state.held_out_error + (1 - trust) * state.train_error
 
 
 def _calibrate(

@@ -1,14 +1,14 @@
 """The Beta Shape Machine (§5, Eq. 2), conditioned on E, in natural centred form.
 
-The print writes α = a0 + Σ (a h + c (1-h)).  Only the differences a-c matter to h, so the machine keeps
-W^α = a-c, W^β = b-d and, because everything is centred (h - ν, X - μ with X = [ln D, ln(1-D)]), the value Ā that α
-takes at h = ν.  With E the existence of parts, and every sum over points running over existing parts only:
+The print writes α = a0 + Σ (a h + c (1-h)).  Only the differences a-c matter to h, so the machine keeps W^α = a-c,
+W^β = b-d and, because everything is centred (h - ν, X - μ with X = [ln D, ln(1-D)]), the value Ā that α takes at
+h = ν.  With E the existence of parts, and every sum over points running over existing parts only:
 
     ln p~(D, H | E) = Σ (Ā - 1) X + (h1-ν1)' W' (X-μ) + b1 h1 + (h1-ν1)' W12 (h2-ν2) + b2 h2
                       + (h2-ν2)' W23 (h3-ν3) + b3 h3 + (E-ε)' V h3
 
-V, the last term, is ours: parts tell the top layer of their existence (``docs/paper.md``).  ``to_paper`` and
-``from_paper`` (in ``paper_form``) are the exact two-way map to a, b, c, d, a0, b0.
+V, the last term, is ours: parts tell the top layer of their existence.  ``to_paper`` and ``from_paper`` (in
+``paper_form``) are the exact two-way map to a, b, c, d, a0, b0.
 """
 
 from __future__ import annotations

@@ -13,9 +13,9 @@ from shapeforge.generative.machine import BetaShapeMachine
 
 @dataclass(frozen=True, eq=False)
 class PaperForm:
-    """Eq. 2 as printed, per part: ``on[l]`` (2, F, M) = [a, b], ``off[l]`` (2, F, M) = [c, d], ``base[l]`` (2, F) = [a0, b0].
+    """Eq. 2 as printed, per part: ``on[l]`` = [a, b], ``off[l]`` = [c, d] (2, F, M), ``base[l]`` = [a0, b0] (2, F).
 
-    ``bias1`` (M,) is w[m,0] and so on.  ``absent1`` (M,) is added to w[m,0] of a part's units where that part is absent,
+    ``bias1`` (M,) is w[m,0] and so on.  ``absent1`` (M,) is added to w[m,0] of a part's units where the part is absent,
     and ``existence_top`` (L, O) couples E to H3: both are ours, and zero in the print.
     """
 

@@ -71,7 +71,8 @@ def directions(
     decoded = decode(machine, latents.hidden3)
     counted = observations.exists[:, observations.part][..., None]
     flat = (decoded.astype(float) * counted).reshape(len(decoded), -1)
-    logits_within, flat_within = _within_patterns(logits, observations.exists), _within_patterns(flat, observations.exists)
+    logits_within = _within_patterns(logits, observations.exists)
+    flat_within = _within_patterns(flat, observations.exists)
     left, strength, right = np.linalg.svd(flat_within, full_matrices=False)
     typical = _typical_shapes(latents, logits_within)
     found = []

@@ -1,4 +1,4 @@
-"""A small family with known correspondences: side chairs, armchairs, benches and swivel chairs made of boxes and tubes."""
+"""A small family with known correspondences: side chairs, armchairs, benches, swivel chairs of boxes and tubes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _tube_points(n: int) -> np.ndarray:
 def chair_family(
     n_shapes: int, *, rng: np.random.Generator, density: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(positions (T, K, 3) with diagonal 1 and NaN where absent, part (K,), class (T,) 0 side 1 arm 2 bench 3 swivel)."""
+    """Positions (T, K, 3) with diagonal 1 and NaN where absent, part (K,), class (T,): side, arm, bench, swivel."""
     counts = {name: max(6, round(density * n)) for name, n in zip(PART_NAMES, (260, 260, 70, 90, 90, 100), strict=True)}
     shapes, classes = [], []
     for _ in range(n_shapes):
@@ -60,7 +60,9 @@ def chair_family(
         present = {"seat", "back"} | ({"column", "base"} if kind == 3 else {"legs"})
         if kind == 1 or (kind == 3 and rng.random() < 0.3):
             present.add("arms")
-        whole = np.concatenate([parts[name] if name in present else np.full_like(parts[name], np.nan) for name in PART_NAMES])
+        for name in set(PART_NAMES) - present:
+            parts[name] = np.full_like(parts[name], np.nan)
+        whole = np.concatenate([parts[name] for name in PART_NAMES])
         low, high = np.nanmin(whole, axis=0), np.nanmax(whole, axis=0)
         shapes.append((whole - (low + high) / 2) / np.linalg.norm(high - low))
         classes.append(kind)

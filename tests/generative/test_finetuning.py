@@ -20,7 +20,8 @@ def setting(seed):
 
 
 NAMES = [
-    "weights", "rest", "bias1", "weights12", "bias2", "weights23", "bias3", "existence_top", "prior_bias", "prior_weights",
+    "weights", "rest", "bias1", "weights12", "bias2", "weights23", "bias3", "existence_top", "prior_bias",
+    "prior_weights",
 ]  # fmt: skip
 
 
@@ -56,7 +57,8 @@ def test_threads_change_no_bit():
         together = loss_and_gradient(machine, prior, batch, executor.map)
     assert alone[0] == together[0]
     for name in NAMES:
-        one, two = (item[1][name] if isinstance(item[1][name], tuple) else (item[1][name],) for item in (alone, together))
+        one, two = alone[1][name], together[1][name]
+        one, two = (one, two) if isinstance(one, tuple) else ((one,), (two,))
         assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True)), name
 
 

@@ -187,4 +187,5 @@ def test_components_reproduce_training_shapes_and_draw(family):
     np.testing.assert_allclose(reconstruct_by_components(model, train), train.values, atol=1e-5)
     for kernel in (False, True):
         values, exists = draw_from_components(model, 5, rng=np.random.default_rng(0), kernel=kernel)
-        assert values.shape == (5, *train.values.shape[1:]) and {tuple(e) for e in exists} <= {tuple(e) for e in train.exists}
+        assert values.shape == (5, *train.values.shape[1:])
+        assert {tuple(row) for row in exists} <= {tuple(row) for row in train.exists}
