@@ -16,7 +16,14 @@ from shapeforge.collection.shape import Shape
 from shapeforge.collection.surface import closest_points
 from shapeforge.synthesis.embedded import DeformationGraph, build_graph
 from shapeforge.synthesis.measures import PartQuality, part_quality
-from shapeforge.synthesis.surfaces import as_mesh, cut_out, farthest_points, subdivide_long_edges, touching_pieces
+from shapeforge.synthesis.surfaces import (
+    as_mesh,
+    barycentric,
+    cut_out,
+    farthest_points,
+    subdivide_long_edges,
+    touching_pieces,
+)
 
 FEWEST_POINTS = 6
 """Corresponding points that a part needs on a shape, or it counts as absent there."""
@@ -33,13 +40,29 @@ ANCHORS = 12
 
 
 @dataclass(frozen=True, eq=False)
+class Anchors:
+    """Where a part holds on to another one, as on their training shape (diagonals).
+
+    ``vertices`` (A,) of this part lie at ``distance`` (A,) from the other's surface; the nearest place there is told by
+    ``corners`` (A, 3), vertices of the other part (-1: unknown), and their ``weights`` (A, 3); ``offset`` (A, 3) leads
+    from it to the anchor.
+    """
+
+    vertices: Int[np.ndarray, " A"]
+    distance: Float[np.ndarray, " A"]
+    corners: Int[np.ndarray, "A 3"]
+    weights: Float[np.ndarray, "A 3"]
+    offset: Float[np.ndarray, "A 3"]
+
+
+@dataclass(frozen=True, eq=False)
 class SourcePart:
     """Part ``part`` of a training shape, ready to be bent; everything in normal coordinates (diagonals).
 
     ``handles`` (C, 3) are the surface points that correspond to the template points ``template`` (C,);
     ``rows`` (V, 4N) and ``handle_rows`` (C, 4N) are the bases of vertices and handles in ``graph``;
     ``piece`` numbers the pieces of the part: connected components, those that touch counted as one;
-    ``anchors`` maps another part to the vertices at which this one touches it and their distances from it.
+    ``anchors`` tells, for every other part that this one touches, where.
     """
 
     shape: str
@@ -53,7 +76,7 @@ class SourcePart:
     rows: csr_array
     handle_rows: csr_array
     quality: PartQuality
-    anchors: Mapping[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    anchors: Mapping[int, Anchors] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,19 +209,32 @@ def read_parts(
     return {l: replace(source, anchors=anchors[l]) for l, source in found.items()}
 
 
-def _find_anchors(parts: Mapping[int, SourcePart]) -> dict[int, dict[int, tuple[np.ndarray, np.ndarray]]]:
+def _find_anchors(parts: Mapping[int, SourcePart]) -> dict[int, dict[int, Anchors]]:
     """For each part and each other one that it touches, up to ANCHORS vertices of the contact, spread over it."""
-    anchors: dict[int, dict[int, tuple[np.ndarray, np.ndarray]]] = {l: {} for l in parts}
+    anchors: dict[int, dict[int, Anchors]] = {l: {} for l in parts}
     for other, surface in parts.items():
         asking = [l for l in parts if l != other]
         if not asking:
             continue
         queries = np.concatenate([parts[l].vertices for l in asking])
-        distances = closest_points(as_mesh(surface.vertices, surface.triangles), queries)[2]
-        ends = np.cumsum([len(parts[l].vertices) for l in asking])[:-1]
-        for l, distance in zip(asking, np.split(distances, ends), strict=True):
-            if distance.min() <= NEAR_CONTACT:
-                close = np.flatnonzero(distance <= max(CONTACT, float(distance.min()) + 0.005))
-                chosen = close[farthest_points(parts[l].vertices[close], ANCHORS)]
-                anchors[l][other] = chosen, distance[chosen]
+        place, triangle, distance = closest_points(as_mesh(surface.vertices, surface.triangles), queries)
+        start = 0
+        for l in asking:
+            rows = start + np.arange(len(parts[l].vertices))
+            start += len(rows)
+            near = float(distance[rows].min())
+            if near > NEAR_CONTACT:
+                continue
+            close = np.flatnonzero(distance[rows] <= max(CONTACT, near + 0.005))
+            chosen = close[farthest_points(parts[l].vertices[close], ANCHORS)]
+            at = rows[chosen]
+            anchors[l][other] = _anchors(parts[l], surface, chosen, place[at], triangle[at], distance[at])
     return anchors
+
+
+def _anchors(
+    part: SourcePart, other: SourcePart, chosen: np.ndarray, place: np.ndarray, triangle: np.ndarray, distance: np.ndarray
+) -> Anchors:
+    corners = other.triangles[triangle]
+    weights = barycentric(other.vertices[corners], place)
+    return Anchors(chosen, distance, corners, weights, part.vertices[chosen] - place)

@@ -97,6 +97,17 @@ def as_mesh(vertices: Vertices, triangles: Triangles) -> Mesh:
     return Mesh(vertices, triangles, np.arange(len(triangles)), len(triangles))
 
 
+def barycentric(corners: Float[np.ndarray, "n 3 3"], points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Weights (n, 3) of points on their triangles ``corners`` (n, corner, axis); of the first corner where there is no area."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    normal = np.cross(b - a, c - a)
+    square = (normal**2).sum(axis=1)
+    safe = np.where(square > 1e-24, square, np.inf)
+    v = (np.cross(points - a, c - a) * normal).sum(axis=1) / safe
+    w = (np.cross(b - a, points - a) * normal).sum(axis=1) / safe
+    return np.stack([1 - v - w, v, w], axis=1)
+
+
 def vertex_components(n_vertices: int, triangles: Triangles) -> Int[np.ndarray, " V"]:
     """Number of the connected component of every vertex."""
     rows = np.concatenate([triangles[:, 0], triangles[:, 1]])

@@ -1,0 +1,91 @@
+"""One part bent to the points of a draw: affine pre-alignment piece by piece, then embedded deformation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import vstack
+from scipy.spatial import cKDTree
+
+from shapeforge.collection.shape import Mesh
+from shapeforge.synthesis.embedded import Problem, even_strength, pre_align, solve_exactly, solve_quickly
+from shapeforge.synthesis.sources import Anchors, SourcePart
+from shapeforge.synthesis.surfaces import as_mesh
+
+ANCHOR_STRENGTH = 20.0
+"""Weight of an anchor, in constraints per node: a contact outweighs the drawn points around it."""
+OWN_MAP = 24
+"""A piece with at least so many handles is pre-aligned by itself: four legs spread without growing fat."""
+
+
+@dataclass(frozen=True, eq=False)
+class BentPart:
+    """A part under way: where the draw wants its handles (``drawn``) and what the contacts made of that (``targets``).
+
+    ``rest`` is the pre-alignment per node;
+    unknowns ``start`` of the graph (after the pre-alignment alone) and ``x`` (as bent so far); ``anchors`` by other part.
+    """
+
+    source: SourcePart
+    drawn: Float[np.ndarray, "C 3"]
+    targets: Float[np.ndarray, "C 3"]
+    rest: Float[np.ndarray, "N 3 3"]
+    start: Float[np.ndarray, "M 3"]
+    x: Float[np.ndarray, "M 3"]
+    anchors: Mapping[int, Anchors]
+
+    @property
+    def vertices(self) -> Float[np.ndarray, "V 3"]:
+        """Vertices as bent so far."""
+        return self.source.rows @ self.x
+
+    @property
+    def surface(self) -> Mesh:
+        """The bent part as a mesh."""
+        return as_mesh(self.vertices, self.source.triangles)
+
+
+def start_part(source: SourcePart, points: Float[np.ndarray, "K 3"]) -> BentPart | None:
+    """The part under its affine pre-alignment, each larger piece under its own; None without targets."""
+    known = np.isfinite(points[source.template]).all(axis=1)
+    if not known.any():
+        return None
+    targets = np.where(known[:, None], points[source.template], np.nan)
+    nodes = source.graph.nodes
+    matrix, offset = pre_align(source.handles[known], targets[known])
+    rest = np.broadcast_to(matrix, (len(nodes), 3, 3)).copy()
+    moved = nodes @ matrix.T + offset
+    vertex = cKDTree(source.vertices)
+    piece_of_handle = source.piece[vertex.query(source.handles)[1]]
+    piece_of_node = source.piece[vertex.query(nodes)[1]]
+    for c in np.unique(piece_of_node):
+        own = known & (piece_of_handle == c)
+        if own.sum() >= OWN_MAP and own.sum() < known.sum():
+            own_matrix, own_offset = pre_align(source.handles[own], targets[own])
+            rest[piece_of_node == c] = own_matrix
+            moved[piece_of_node == c] = nodes[piece_of_node == c] @ own_matrix.T + own_offset
+    x = np.concatenate([rest.transpose(0, 2, 1), moved[:, None]], axis=1).reshape(-1, 3)
+    return BentPart(source, targets, targets, rest, x, x, source.anchors)
+
+
+def bend(part: BentPart, held: Mapping[int, np.ndarray], *, preview: bool) -> BentPart:
+    """The part bent to its targets and to ``held`` (vertex -> position wanted by a contact)."""
+    source = part.source
+    known = np.isfinite(part.targets).all(axis=1)
+    rows, targets = [source.handle_rows[known]], [part.targets[known]]
+    strength = [even_strength(int(known.sum()), len(source.graph.nodes))]
+    if held:
+        vertices = np.fromiter(held, np.int64)
+        rows.append(source.rows[vertices])
+        targets.append(np.stack([held[v] for v in held]))
+        strength.append(np.full(len(held), ANCHOR_STRENGTH))
+    problem = Problem(
+        source.graph, vstack(rows, format="csr"), np.concatenate(targets), np.concatenate(strength), part.rest
+    )
+    x = part.x
+    for state in (solve_quickly if preview else solve_exactly)(problem, x):
+        x = state.x
+    return replace(part, x=x)

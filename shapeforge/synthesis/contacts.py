@@ -1,0 +1,197 @@
+"""Parts that touched on the training shapes touch on the new one: which pairs, who moves, and where to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
+
+from shapeforge.collection.surface import closest_points
+from shapeforge.synthesis.bending import BentPart
+from shapeforge.synthesis.measures import gap
+from shapeforge.synthesis.sources import ANCHORS, Anchors
+from shapeforge.synthesis.surfaces import farthest_points
+
+FALLOFF = 0.12
+"""Drawn points move along with an anchor up to about this distance (diagonals), so that the part bends and doesn't kink."""
+SLACK = 0.003
+"""An anchor may be so much (diagonals) farther from the other part than it was on its training shape."""
+FARTHEST_CONTACT = 0.06
+"""Parts that only one training shape or most others join are left apart if the draw sets them farther apart than this."""
+FARTHEST_ISLAND = 0.12
+"""A part that touches nothing is joined to one that it usually touches, up to this distance (diagonals)."""
+PLATE = 0.02
+"""Surface straight across, off by less than this (diagonals), is the far side of a plate."""
+
+
+def choose_contacts(bent: Mapping[int, BentPart], touching: Float[np.ndarray, "L L"]) -> list[tuple[int, int]]:
+    """Pairs of present parts that should touch: both training parts touched the other, or one did and most shapes do.
+
+    In the second case only if the draw has them near: a T-tail rests on the fin, whatever most tailplanes do.
+    """
+    pairs = []
+    for l in bent:
+        for other in bent:
+            if l < other:
+                told = [way for way in ((l, other), (other, l)) if way[1] in bent[way[0]].anchors]
+                if len(told) == 2 or (len(told) == 1 and touching[l, other] >= 0.5 and _near(bent, *told[0])):
+                    pairs.append((l, other))
+    return pairs
+
+
+def _near(bent: Mapping[int, BentPart], l: int, other: int) -> bool:
+    anchors = bent[l].source.rows[bent[l].anchors[other].vertices] @ bent[l].x
+    return bool(closest_points(bent[other].surface, anchors)[2].min() <= FARTHEST_CONTACT)
+
+
+def join_islands(
+    bent: dict[int, BentPart], contacts: list[tuple[int, int]], touching: Float[np.ndarray, "L L"]
+) -> tuple[dict[int, BentPart], list[tuple[int, int]]]:
+    """Anchors and contacts for parts that nothing holds: to the part that they touch most often, where that is near.
+
+    Happens when a part comes from a shape on which it touched only parts that the draw does not have.
+    """
+    bent, contacts, parts = dict(bent), list(contacts), list(bent)
+    for _ in range(len(parts)):
+        place = {l: i for i, l in enumerate(parts)}
+        ends = np.array([(place[a], place[b]) for a, b in contacts]).reshape(-1, 2)
+        graph = coo_matrix((np.ones(len(ends)), ends.T), shape=(len(parts), len(parts)))
+        n_islands, island = connected_components(graph, directed=False)
+        weight = np.bincount(island, [len(bent[l].source.handles) for l in parts]) if parts else np.zeros(0)
+        joined = False
+        for i, l in enumerate(parts):
+            if n_islands < 2 or island[i] == weight.argmax():
+                continue
+            outside = [o for o in parts if island[place[o]] != island[i] and touching[l, o] >= 0.25]
+            for other in sorted(outside, key=lambda o: -touching[l, o]):
+                vertices = bent[l].vertices
+                distance = closest_points(bent[other].surface, vertices)[2]
+                if distance.min() <= FARTHEST_ISLAND:
+                    close = np.flatnonzero(distance <= distance.min() + 0.01)
+                    chosen = close[farthest_points(vertices[close], ANCHORS)]
+                    bent[l] = replace(bent[l], anchors={**bent[l].anchors, other: _free_anchors(chosen)})
+                    contacts.append((min(l, other), max(l, other)))
+                    joined = True
+                    break
+            if joined:
+                break
+        if not joined:
+            break
+    return bent, contacts
+
+
+def _free_anchors(vertices: np.ndarray) -> Anchors:
+    """Anchors that hold on to wherever the other part is nearest."""
+    n = len(vertices)
+    return Anchors(vertices, np.zeros(n), np.full((n, 3), -1), np.zeros((n, 3)), np.zeros((n, 3)))
+
+
+def hold_contacts(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]) -> dict[int, dict[int, np.ndarray]]:
+    """Where the anchors that came loose, or went through, should go: {part: {vertex: position}}.
+
+    Of the two parts of a contact that one moves whose anchors have less far to go (the top ends of other legs may sit
+    anywhere under a seat, but a corner of the seat should not reach out for them), and rather one that stretches than
+    one that bends: the fin reaches up to the tailplane, the tailplane does not sag onto the fin.
+    """
+    loose: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, float]] = {}
+    for pair in contacts:
+        for l, other in (pair, pair[::-1]):
+            if other in bent[l].anchors:
+                vertices = bent[l].anchors[other].vertices
+                here = bent[l].source.rows[vertices] @ bent[l].x
+                there, moves = _wanted(bent[l], bent[other], here)
+                bending = 2.0 - _stretchiness(bent[l].vertices, here, there - here)
+                effort = bending * float(np.linalg.norm(there - here, axis=1).mean())
+                loose[l, other] = vertices[moves], there[moves], effort
+    held: dict[int, dict[int, np.ndarray]] = {l: {} for l in bent}
+    for pair in contacts:
+        ways = [way for way in (pair, pair[::-1]) if way in loose]
+        if len({bent[l].source.shape for l in pair}) == 1:
+            # A leg through the seat is seen from the leg alone: along the leg's side the seat is where it should be.
+            ways = [way for way in ways if len(loose[way][0])]
+        if ways:
+            l, other = min(ways, key=lambda way: loose[way][2])
+            held[l].update(zip(loose[l, other][0].tolist(), loose[l, other][1], strict=True))
+    return held
+
+
+def _wanted(part: BentPart, other: BentPart, here: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the anchors of ``part`` on ``other``, now ``here`` (A, 3), should be (A, 3), and which came loose (A,).
+
+    Loose is what is farther from the other part than on the training shape: what was let in stays as deep.  It goes to
+    the nearest surface; but if that is the far side of a plate, it goes back to the side it belongs to: a leg that pierced
+    its seat returns under it.  (Told only for two parts of one shape: there the place is known exactly.)
+    """
+    anchors, surface = part.anchors[other.source.part], other.surface
+    if part.source.shape != other.source.shape or (anchors.corners < 0).any():
+        place, _, distance = closest_points(surface, here)
+        return place, distance > anchors.distance + SLACK
+    own = np.einsum("ac,acd->ad", anchors.weights, other.vertices[anchors.corners])
+    place, triangle, distance = closest_points(surface, np.concatenate([here, own]))
+    n = len(here)
+    normal = surface.triangle_normals[triangle[n:]]
+    across = ((place[:n] - own) * normal).sum(axis=1)
+    beside = np.linalg.norm(place[:n] - own - across[:, None] * normal, axis=1)
+    pierced = (np.abs(across) > 2 * SLACK) & (beside < PLATE)
+    height = ((here - own - anchors.offset) * normal).sum(axis=1)
+    there = np.where(pierced[:, None], here - height[:, None] * normal, place[:n])
+    return there, distance[:n] > anchors.distance + SLACK
+
+
+def carry_along(part: BentPart, held: Mapping[int, np.ndarray]) -> BentPart:
+    """The part with its targets shifted as its held vertices are, piece by piece.
+
+    A piece that can follow by stretching (the shift points along the way from the contact to its middle, as at the top of
+    a leg) does so: the shift fades out over FALLOFF.  One that would have to bend or shear is carried as a whole.
+    """
+    if not held:
+        return part
+    source = part.source
+    vertices = np.fromiter(held, np.int64)
+    here = source.rows[vertices] @ part.x
+    shifts = np.stack([held[v] for v in held]) - here
+    handles = source.handle_rows @ part.x
+    piece_of_handle = source.piece[cKDTree(source.vertices).query(source.handles)[1]]
+    targets = part.targets.copy()
+    for piece in np.unique(source.piece[vertices]):
+        own, at = piece_of_handle == piece, source.piece[vertices] == piece
+        if not own.any():
+            continue
+        stretch = _stretchiness(handles[own], here[at], shifts[at])
+        distance = cdist(handles[own], here[at])
+        weight = 1 / (distance**2 + (FALLOFF / 3) ** 2)
+        shift = weight @ shifts[at] / weight.sum(axis=1, keepdims=True)
+        fade = 1 - stretch * (1 - np.exp(-0.5 * (distance.min(axis=1) / FALLOFF) ** 2))
+        targets[own] += fade[:, None] * shift
+    return replace(part, targets=targets)
+
+
+def _stretchiness(points: np.ndarray, anchors: np.ndarray, shifts: np.ndarray) -> float:
+    """0 (moving the anchors by ``shifts`` bends a piece with these points, or only moves it) to 1 (it stretches)."""
+    direction = shifts.mean(axis=0)
+    length = float(np.linalg.norm(direction))
+    reach = float(np.linalg.norm(np.ptp(points, axis=0))) / 2
+    if length < 1e-9 or reach < 1e-9:
+        return 0.0
+    along = abs(float((points.mean(axis=0) - anchors.mean(axis=0)) @ direction)) / length
+    return min(1.0, along / reach)
+
+
+def contact_gaps(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]) -> dict[tuple[int, int], float]:
+    """Gap of every contact (diagonals), measured from the part whose pieces are to hold on to the other."""
+    surfaces = {l: piece.surface for l, piece in bent.items()}
+    gaps = {}
+    for pair in contacts:
+        found = []
+        for l, other in (pair, pair[::-1]):
+            if other in bent[l].anchors:
+                anchors, mesh = bent[l].anchors[other], surfaces[l]
+                found.append(gap(mesh.vertices, mesh.triangles, anchors.vertices, anchors.distance, surfaces[other]))
+        gaps[pair] = min(found)
+    return gaps
