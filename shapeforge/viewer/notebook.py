@@ -47,11 +47,13 @@ def open_session(project: Any, theme: str = "light") -> Session:
 class _Watching(ipywidgets.VBox):
     """A view that redraws when fields of the session change, until it is closed."""
 
+    _slots: Sequence[tuple[Any, Any]] = ()  # a view whose making failed is closed, too
+
     def __init__(self, session: Session, children: Sequence[ipywidgets.Widget], fields: Sequence[str]) -> None:
         super().__init__(list(children))
         self.session = session
-        self._slots = [(getattr(session.events, field), lambda *_: self.refresh()) for field in fields]
-        self._slots.append((session.data_changed, lambda *_: self.refresh()))
+        signals = [*(getattr(session.events, field) for field in fields), session.data_changed]
+        self._slots = [(signal, lambda *_: self.refresh()) for signal in signals]
         for signal, slot in self._slots:
             signal.connect(slot)
 
@@ -63,7 +65,7 @@ class _Watching(ipywidgets.VBox):
         """Stop following the session, and take the widget away."""
         for signal, slot in self._slots:
             signal.disconnect(slot, missing_ok=True)
-        self._slots = []
+        self._slots = ()
         super().close()
 
 
@@ -159,7 +161,7 @@ class FitView(_Watching):
         """Start a stage in the background (by default the fit), with options of ``stages.DEFAULTS``."""
         self.actions.start_stage(stage, **options)
 
-    def wait(self, seconds: float | None = None) -> bool:
+    def wait(self, seconds: float | int | None = None) -> bool:
         """Stay until it has ended or paused; False when ``seconds`` were not enough."""
         return self.desk.wait(seconds)
 

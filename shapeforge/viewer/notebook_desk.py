@@ -57,7 +57,7 @@ class NotebookDesk:
             getattr(self.runner, what)()
             self.session.is_paused = what == "pause"
 
-    def wait(self, seconds: float | None = None) -> bool:
+    def wait(self, seconds: float | int | None = None) -> bool:
         """Stay until what runs has ended (or paused), showing what it does; False when ``seconds`` were not enough."""
         end = None if seconds is None else time.monotonic() + seconds
         while self.runner.running and not self.runner.paused:
