@@ -99,6 +99,9 @@ class Actions(Mapping[str, Action]):
         try:
             self[name].run(self.session)
         except (ValueError, RuntimeError, OSError) as error:
+            # What a listener of the session raised comes wrapped: the sentence is the innermost one's.
+            while type(error).__name__ == "EmitLoopError" and error.__cause__ is not None:
+                error = error.__cause__
             self.session.say(sentence(error), "error")
             return False
         return True

@@ -56,8 +56,8 @@ class FitRecord:
         found = self.project.fit_id
         if self.state is not None or found is None or self._loaded == found:
             return
+        self._loaded, self._disk = found, {}  # whatever comes of it, it is read once
         state = self.project.fit()
-        self._loaded, self._disk = found, {}
         if state is None:
             return
         self._keep(state)

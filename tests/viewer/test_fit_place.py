@@ -142,6 +142,7 @@ def test_the_grid_shows_all_watched_shapes(open_window, fitted, qtbot):
     window = open_window(fitted, "fit")
     place = place_of(window)
     qtbot.mouseClick(place.mode.button("grid"), LEFT)
+    place._show_all()
     names = {window.session.shape, *window.session.watched}
     shown = {view.captions[0].lines[0][0] for view in place.view.shown.views if view.captions}
     assert shown == names
@@ -234,3 +235,13 @@ def test_a_run_that_was_stopped_ends_like_one_that_was_not(open_window, fitted, 
     qtbot.waitUntil(lambda: not again.session.running, timeout=LONG)
     assert again.session.status_kind == "ok", again.session.status
     assert bytes_of(Project.open(fitted.path)) == whole
+
+
+def test_a_damaged_fit_is_said_and_the_rest_goes_on(open_window, fitted, qtbot):
+    folder = fitted.current_folder("fit")
+    (folder / "fit.zarr.zip").write_bytes(b"no zip")
+    window = open_window(fitted, "fit")
+    assert window.session.place == "fit"
+    assert window.session.status_kind == "error" and "fit.zarr.zip" in window.session.status
+    window.session.place = "collection"
+    assert window.stacks["centre"].currentWidget() is window.places["collection"].centre

@@ -7,8 +7,10 @@ from collections.abc import Callable, Sequence
 from PySide6.QtGui import QKeySequence
 from PySide6.QtWidgets import QAbstractButton, QPushButton, QWidget
 
+from shapeforge.store_arrays import ProjectError
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.qt.widgets import button
+from shapeforge.viewer.runner import sentence
 from shapeforge.viewer.session import Session
 
 
@@ -23,14 +25,21 @@ class Binding:
         """Call ``show()`` whenever one of ``fields`` of the session changes (and once now)."""
 
         def slot(*_: object) -> None:
-            show()
+            self.safely(show)
 
         for name in fields:
             signal = self._session.data_changed if name == "data" else getattr(self._session.events, name)
             signal.connect(slot, check_nargs=False)
             self._slots.append((signal, slot))
         if now:
+            self.safely(show)
+
+    def safely(self, show: Callable[[], None]) -> None:
+        """Call ``show()``; a damaged or unreadable file of the project becomes the status, not the end of the window."""
+        try:
             show()
+        except (ProjectError, OSError) as error:
+            self._session.say(sentence(error), "error")
 
     def close(self) -> None:
         """End all connections."""

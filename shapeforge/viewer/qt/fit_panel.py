@@ -80,7 +80,7 @@ class FitPlace:
         self.strip = self._make_strip()
         # Several changes at once are shown once.
         self._soon = QTimer(self.centre, singleShot=True, interval=0)
-        self._soon.timeout.connect(self._show_all)
+        self._soon.timeout.connect(lambda: self.binding.safely(self._show_all))
         self.view.camera_moved.connect(self._camera_moved)
         self.binding.on(("project",), self._project_changed)
         self.binding.on(("progress",), self._take_progress)
@@ -95,7 +95,7 @@ class FitPlace:
             session.shape = session.project.names[int(groups.exemplars[0]) if groups is not None else 0]
         if not session.watched:
             session.watched = self._default_watched()
-        self._show_all()
+        self.binding.safely(self._show_all)
         self._show_run()
 
     def leave(self) -> None:
@@ -114,9 +114,9 @@ class FitPlace:
         self.watch = Choice("Watch", [], "", tooltip="Which shape to look at")
         self.watch.chosen.connect(self._watch)
         self.mode = Segments([("one", "One shape", ""), ("grid", "Grid", "")], "one")
-        self.mode.chosen.connect(lambda _: self._show_all())
+        self.mode.chosen.connect(lambda _: self._show_soon())
         self.by = Choice("Colour by", [("part", "part"), ("movement", "movement")], "part")
-        self.by.chosen.connect(lambda _: self._show_all())
+        self.by.chosen.connect(lambda _: self._show_soon())
         self.home = button(icon="home", kind="tool", tooltip="Show all of the shape")
         self.home.clicked.connect(lambda: self.view.fit())
         self.linked = button(icon="link", kind="tool", checkable=True, tooltip="Turn the small pictures along")

@@ -9,6 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from PySide6.QtCore import QObject, Qt, Signal
 from PySide6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent, QKeySequence
+from PySide6.QtOpenGLWidgets import QOpenGLWidget
 from PySide6.QtWidgets import (
     QApplication,
     QDialog,
@@ -94,6 +95,10 @@ class Window(QWidget):
         # The style sheet changes sizes and weights only; the family and its tabular figures come from here.
         QApplication.setFont(font())
         self.setStyleSheet(style_sheet(self.session.theme))
+        # A window that gets its first GL widget while it is shown is made anew by Qt: it flickers and loses the focus.
+        self._surface = QOpenGLWidget(self)
+        self._surface.setFixedSize(0, 0)
+        self._surface.hide()
         self._mail = _Mail()
         self._mail.arrived.connect(self._read_mail)
         self.runner = Runner(self._mail.arrived.emit)
