@@ -8,8 +8,8 @@ import numpy as np
 
 
 def correspondences(
-    points, point_f, point_n, deformed, variance, template_f, template_n, label, pairs, s, sigma1, precision3, log_epsilon,
-    normal_weight,
+    points, point_f, point_n, deformed, variance, template_f, template_n, label, pairs, s, sigma1, precision3,
+    log_epsilon, normal_weight,
 ):  # fmt: skip
     """q[p][k] over the given pairs, a list of k per p (supplement, correspondence update)."""
     out = []
@@ -68,13 +68,10 @@ def segmentation_of_point(p, share, s, neighbours, attraction, log_epsilon, acti
     return [math.exp(v - top) / total if v > -math.inf else 0.0 for v in logits]
 
 
-def closest_point_on_triangle(p, a, b, c, steps=200):
-    """Closest point of a triangle by a fine barycentric grid: good to about an edge over ``steps``."""
-    best, found = math.inf, a
-    for i in range(steps + 1):
-        for j in range(steps + 1 - i):
-            point = a + (b - a) * (i / steps) + (c - a) * (j / steps)
-            distance = float(((p - point) ** 2).sum())
-            if distance < best:
-                best, found = distance, point
-    return found, math.sqrt(best)
+def distance_to_triangle(p, a, b, c, steps=60):
+    """Distance to a triangle over a barycentric grid: too large by at most an edge over ``steps``."""
+    i, j = np.meshgrid(np.arange(steps + 1), np.arange(steps + 1))
+    inside = i + j <= steps
+    u, v = i[inside] / steps, j[inside] / steps
+    grid = a + u[:, None] * (b - a) + v[:, None] * (c - a)
+    return float(np.linalg.norm(grid - p, axis=1).min())

@@ -57,7 +57,7 @@ def descriptor_costs(
     offsets, template_index, point_descriptors, template_descriptors, precision, point_normals, template_normals,
     normal_weight, out,
 ):  # fmt: skip
-    """``out[c] = ½ (f_k - f_p)ᵀ precision (f_k - f_p) + normal_weight (1 - |n_k·n_p|)`` for every pair (φ3, diagonal)."""
+    """φ3 of every pair: ``out[c] = ½ (f_k - f_p)ᵀ precision (f_k - f_p) + normal_weight (1 - |n_k·n_p|)``."""
     for p in range(offsets.shape[0] - 1):
         for c in range(offsets[p], offsets[p + 1]):
             k = template_index[c]
@@ -178,7 +178,9 @@ def deform(mass, first_moment, mapped, offsets, neighbour, unary_precision, smoo
 
 
 @njit(**_FAST)
-def residual_sums(offsets, template_index, q, points, deformed, point_descriptors, template_descriptors, label, n_parts):
+def residual_sums(
+    offsets, template_index, q, points, deformed, point_descriptors, template_descriptors, label, n_parts
+):
     """q-weighted sums of squared residuals: total q, (3,) positions, (D,) descriptors, and per part (L,2) q and r²."""
     n_descriptor = point_descriptors.shape[1]
     position = np.zeros(3)

@@ -23,7 +23,8 @@ def free_energy(
 ) -> float:
     """E_Q[-ln P̃] - H(Q) of one shape in nats, up to constants of the covariances (supplement 1).
 
-    Every pair of template points and of samples counts once; ``pull`` is φ5's logit Φ per pair if it is at hand.  Labels of inactive parts have probability zero.
+    Every pair of template points and of samples counts once; ``pull`` is φ5's logit Φ per pair if it is at hand.
+     Labels of inactive parts have probability zero.
     """
     if pull is None:
         pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)

@@ -22,15 +22,18 @@ from shapeforge.collection.groups import Groups
 from shapeforge.collection.shape import Shape, Shapes
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.energy import free_energy
-from shapeforge.deformation.existence import switch_off_missing
+from shapeforge.deformation.existence import part_prevalence, switch_off_missing
 from shapeforge.deformation.factors import FLOORS, Covariances, attraction, floored, initial_covariances
 from shapeforge.deformation.templates import PartTemplates, pair_graph, template_from_exemplar
 from shapeforge.deformation.updates import (
+    Candidates,
+    Correspondence,
     GaussianOnDeformation,
     Problem,
     Summary,
     find_candidates,
     make_problem,
+    mapped_normals,
     summarize,
     update_correspondences,
     update_deformations,
@@ -48,11 +51,12 @@ SETTLED = 5e-4
 EXEMPLARS_PER_SHAPE = 3
 """Exemplars tried on every shape: its own group's and the next best by affine residual."""
 
-GAP_SCALE = 0.02
-"""Gap (diagonals) between a deformed template and the surface that counts as one nat of misfit."""
+GAP_SCALE, TURN_SCALE = 0.07, 0.1
+"""Gap (diagonals) between a deformed template and the surface, and 1 - |cos| between their normals, that count as one
+unit of misfit."""
 
-WEIGHT_TEMPERATURE = 0.25
-"""How fast an exemplar's weight falls with its misfit (nats per point) above the best exemplar's."""
+WEIGHT_TEMPERATURE = 0.15
+"""How fast an exemplar's weight falls with its misfit above the best exemplar's."""
 
 
 class FitDiverged(RuntimeError):
@@ -67,8 +71,8 @@ class FitDiverged(RuntimeError):
 class Candidate:
     """One exemplar's templates on one shape: the beliefs, and the weight this explanation has among the shape's.
 
-    ``misfit`` (nats per point) is what the weight follows from: the gap between the deformed template and the surface,
-    and how unlike the corresponding surfaces are (φ3).
+    ``misfit`` is what the weight follows from: the gap between the deformed template and the surface, and how far
+    their normals differ.
     """
 
     beliefs: Beliefs
@@ -172,12 +176,18 @@ def _one_round(state, shapes, groups, labels, rounds, inner, run, prior) -> FitS
         {c.beliefs.template: prior(t, c.beliefs.template) for c in state.candidates[t]} if prior is not None else None
         for t in range(number)
     ]
-    results = list(
-        run(
-            _work_on_shape, _each(shapes), [labels.get(t) for t in range(number)], _repeat(templates, number),
-            state.candidates, _repeat(state.covariances, number), _repeat(inner, number), priors,
-        )
-    )  # fmt: skip
+    try:
+        results = list(
+            run(
+                _work_on_shape, _each(shapes), [labels.get(t) for t in range(number)], _repeat(templates, number),
+                state.candidates, _repeat(state.covariances, number), _repeat(inner, number), priors,
+            )
+        )  # fmt: skip
+    except FloatingPointError as error:
+        raise FitDiverged(
+            f"{error}: its fit produced numbers that are not finite, usually from broken descriptors; "
+            "import the shape again or leave it out", state,
+        ) from error  # fmt: skip
     candidates = tuple(result[0] for result in results)
     moved = float(np.mean([result[2] for result in results]))
     # a template is learnt from the shapes of its own group; Σ from every shape's best explanation
@@ -198,8 +208,6 @@ def _one_round(state, shapes, groups, labels, rounds, inner, run, prior) -> FitS
     total = reduce(add, best_sums)
     covariances, first = _update_covariances(total, state)
     energy = total.energy / total.points
-    if not np.isfinite([energy, moved]).all():
-        raise FitDiverged("the fit produced numbers that are not finite; a shape with broken descriptors?", state)
     number_round = state.round + 1
     sharp = np.sqrt(covariances.unary.mean()) <= 1.5 * FLOORS["unary"]
     reason = None
@@ -233,15 +241,20 @@ def _work_on_shape(
 ) -> tuple[tuple[Candidate, ...], tuple[Summary, ...], float]:
     """One outer round on one shape: all its candidates, then their weights. A pure function of its arguments."""
     problem = make_problem(shape, faces)
+    prevalence = part_prevalence(templates)
     done, sums, moves = [], [], []
     for candidate in candidates:
         g = candidate.beliefs.template
         prior = priors.get(g) if priors is not None else None
-        beliefs, summary = fit_shape(problem, templates[g], candidate.beliefs, covariances, inner=inner, prior=prior)
+        beliefs, summary = fit_shape(
+            problem, templates[g], candidate.beliefs, covariances, prevalence, inner=inner, prior=prior
+        )
+        if not np.isfinite([beliefs.deformed.sum(), beliefs.maps.sum(), summary.energy]).all():
+            raise FloatingPointError(shape.name)
         moves.append(float(np.linalg.norm(beliefs.deformed - candidate.beliefs.deformed, axis=1).mean()))
         done.append(beliefs)
         sums.append(summary)
-    weighed = weigh(problem, templates, done, [summary.likeness / summary.points for summary in sums])
+    weighed = weigh(problem, templates, done)
     best = max(range(len(weighed)), key=lambda i: weighed[i].weight)
     return weighed, tuple(sums), moves[best]
 
@@ -251,38 +264,48 @@ def fit_shape(
     templates: PartTemplates,
     beliefs: Beliefs,
     covariances: Covariances,
+    prevalence: Float[np.ndarray, " L"],
     *,
     inner: int = 3,
     prior: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> tuple[Beliefs, Summary]:
     """One outer round of one template set on one shape: q, s, D ``inner`` times, then existence and the part maps."""
     graph = pair_graph(templates.neighbours)
-    candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
     pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)
-    for _ in range(inner):
-        correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
-        beliefs = update_segmentation(problem, correspondence, beliefs, pull)
-        beliefs = update_deformations(templates, graph, correspondence, beliefs, covariances, prior)
+
+    def settle(beliefs: Beliefs, times: int) -> tuple[Beliefs, Candidates, Correspondence]:
+        candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
+        for _ in range(times):
+            correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
+            beliefs = update_segmentation(problem, correspondence, beliefs, pull)
+            beliefs = update_deformations(templates, graph, correspondence, beliefs, covariances, prior)
+        return beliefs, candidates, correspondence
+
+    beliefs, candidates, correspondence = settle(beliefs, inner)
     energy = free_energy(problem, templates, graph, candidates, correspondence, beliefs, covariances, pull)
     summary = summarize(problem, templates, graph, candidates, correspondence, beliefs, energy)
-    beliefs = switch_off_missing(problem, templates, candidates, beliefs, covariances.unary)
+    beliefs = switch_off_missing(
+        problem, templates, candidates, beliefs, covariances.unary, prevalence, lambda trial: settle(trial, 2)[:2]
+    )
     return update_maps(templates, correspondence, beliefs), summary
 
 
-def weigh(
-    problem: Problem, templates: Sequence[PartTemplates], beliefs: Sequence[Beliefs], likeness: Sequence[float]
-) -> tuple[Candidate, ...]:
+def weigh(problem: Problem, templates: Sequence[PartTemplates], beliefs: Sequence[Beliefs]) -> tuple[Candidate, ...]:
     """Weigh the exemplars' explanations of a shape by how well each *deformed* template explains it.
 
-    A flexible template reaches almost any surface, so the gap alone is a poor judge: ``likeness`` (nats per point) adds
-    φ3, which knows whether the surfaces brought together look alike.
+    A flexible template reaches almost any surface, so the gap alone is a poor judge of an exemplar: whether the
+    surfaces that were brought together also face the same way tells more.
     """
-    points = thinned(problem.points, 1500)
+    rows = np.arange(0, len(problem.points), max(1, len(problem.points) // 1500))
+    points, normals = problem.points[rows], problem.normals[rows]
     misfits = []
-    for belief, unlike in zip(beliefs, likeness, strict=True):
-        alive = thinned(belief.deformed[belief.active[templates[belief.template].label]], 1500)
-        gap = cKDTree(alive).query(points)[0].mean() + cKDTree(points).query(alive)[0].mean()
-        misfits.append(float(gap / GAP_SCALE + unlike))
+    for belief in beliefs:
+        template = templates[belief.template]
+        alive = np.flatnonzero(belief.active[template.label])
+        distance, nearest = cKDTree(belief.deformed[alive]).query(points)
+        back = cKDTree(points).query(thinned(belief.deformed[alive], 1500))[0]
+        cosine = np.abs((mapped_normals(template, belief)[alive[nearest]] * normals).sum(axis=1))
+        misfits.append(float((distance.mean() + back.mean()) / GAP_SCALE + (1.0 - cosine.mean()) / TURN_SCALE))
     least = min(misfits)
     weights = [float(np.exp(-(misfit - least) / WEIGHT_TEMPERATURE)) for misfit in misfits]
     return tuple(Candidate(b, w, m) for b, w, m in zip(beliefs, weights, misfits, strict=True))
@@ -320,7 +343,7 @@ def _start(shape, faces, templates, own, how_many, seed) -> tuple[Candidate, ...
     alignments = [affine_align(template.points, shape.points) for template in templates]
     order = sorted(range(len(templates)), key=lambda g: (g != own, alignments[g].residual))[:how_many]
     beliefs = [affine_beliefs(shape, problem, templates[g], g, alignments[g], seed) for g in order]
-    return weigh(problem, templates, beliefs, [0.0] * len(beliefs))
+    return weigh(problem, templates, beliefs)
 
 
 def _exemplar_templates(shapes, groups, labels, part_names, seeds) -> Iterator[PartTemplates]:

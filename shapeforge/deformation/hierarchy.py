@@ -1,4 +1,4 @@
-"""High-level templates: the groups' templates linked, so that every shape of the family corresponds (Algorithm 1, line 4).
+"""High-level templates: the groups' templates linked into one family (Algorithm 1, line 4).
 
 The same model, with the groups' learnt templates as its input "shapes" and their labels as evidence.  Each label is
 started from several groups' templates in turn, and the start that explains the other groups best is kept; a part that
@@ -74,13 +74,14 @@ def link_templates(templates: Sequence[PartTemplates]) -> Hierarchy:
 
 
 def register(source: PartTemplates, target: PartTemplates) -> Float[np.ndarray, "K 3"]:
-    """``source``'s points deformed onto ``target``'s of the same part (K, 3); parts the target lacks only ride along."""
+    """``source``'s points (K, 3) deformed onto ``target``'s of the same part; parts it lacks only ride along."""
     shared = source.has_part() & target.has_part()
     on_source, on_target = shared[source.label], shared[target.label]
     alignment = affine_align(source.points[on_source], target.points[on_target])
     problem = Problem(
         np.ascontiguousarray(target.points[on_target]), np.ascontiguousarray(target.normals[on_target]),
-        np.ascontiguousarray(target.descriptors[on_target]), np.zeros(on_target.sum() + 1, np.int64), np.zeros(0, np.int32), target.label[on_target].astype(np.int32),
+        np.ascontiguousarray(target.descriptors[on_target]), np.zeros(on_target.sum() + 1, np.int64),
+        np.zeros(0, np.int32), target.label[on_target].astype(np.int32),
     )  # fmt: skip
     n_parts = source.n_parts
     deformed = alignment(source.points)
@@ -174,7 +175,7 @@ def _assemble(templates, has, chosen, fits) -> Hierarchy:
 def corresponding_points(
     shape: Shape, beliefs: Beliefs, hierarchy: Hierarchy
 ) -> tuple[Float[np.ndarray, "K 3"], Bool[np.ndarray, " K"]]:
-    """The surface point nearest to each deformed top-level template point (K, 3), NaN where absent, and existence (K,)."""
+    """The surface point (K, 3) nearest to each deformed top-level template point, NaN where absent; existence (K,)."""
     link = hierarchy.links[beliefs.template]
     exists = link.exists & beliefs.active[hierarchy.top.label]
     deformed = np.einsum("kj,kji->ki", link.weight, beliefs.deformed[link.index])

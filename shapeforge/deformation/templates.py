@@ -95,9 +95,7 @@ def _pieces(near: np.ndarray) -> np.ndarray:
     return connected_components(graph.tocsr(), directed=False)[1].astype(np.int32)
 
 
-def template_from_exemplar(
-    shape: Shape, faces: Int[np.ndarray, " F"], part_names: tuple[str, ...]
-) -> PartTemplates:
+def template_from_exemplar(shape: Shape, faces: Int[np.ndarray, " F"], part_names: tuple[str, ...]) -> PartTemplates:
     """Templates from the painted exemplar: its labelled surface points (Algorithm 1, line 1)."""
     if len(faces) != shape.mesh.n_faces:
         raise ValueError(

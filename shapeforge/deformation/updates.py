@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -21,6 +21,7 @@ MAP_RIDGE = 0.05
 SMOOTHING_SWEEPS = 10
 
 
+@runtime_checkable
 class GaussianOnDeformation(Protocol):
     """A prior on D of a shape: ``prior(shape index, template index) -> (mean (K,3), precision (K,3)) or None``."""
 
@@ -73,7 +74,7 @@ def make_problem(shape: Shape, faces: np.ndarray | None = None) -> Problem:
 def find_candidates(
     problem: Problem, templates: PartTemplates, beliefs: Beliefs, descriptor: Float[np.ndarray, " d"]
 ) -> Candidates:
-    """Sparsity of q (supplement): each template point keeps its nearest samples, each sample its nearest template points.
+    """Sparsity of q (supplement): template points keep their nearest samples, samples their nearest template points.
 
     Only template points of active parts take part.  The normals of the template are carried along by its part maps.
     """
@@ -217,7 +218,6 @@ class Summary:
     template_normal: Float[np.ndarray, "L 3 3"]
     template_moment: Float[np.ndarray, "K 3"]
     energy: float
-    likeness: float
     points: int
 
     def __add__(self, other: Summary) -> Summary:
@@ -248,7 +248,7 @@ def summarize(
         moment[rows] = centred @ a
     return Summary(
         float(weight), unary, descriptor, by_part, int(pairs), smooth, len(problem.neighbour),
-        segment, normal, moment, float(energy), float(correspondence.q @ candidates.costs), len(problem.points),
+        segment, normal, moment, float(energy), len(problem.points),
     )  # fmt: skip
 
 

@@ -6,11 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests import oracles
 
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.energy import free_energy
-from shapeforge.deformation.factors import DESCRIPTOR_WEIGHT, LOG_EPSILON, NORMAL_WEIGHT, attraction, initial_covariances
+from shapeforge.deformation.factors import (
+    DESCRIPTOR_WEIGHT,
+    LOG_EPSILON,
+    NORMAL_WEIGHT,
+    attraction,
+    initial_covariances,
+)
 from shapeforge.deformation.templates import pair_graph, template_from_points
 from shapeforge.deformation.updates import (
     Problem,
@@ -22,6 +27,7 @@ from shapeforge.deformation.updates import (
     update_maps,
     update_segmentation,
 )
+from tests import oracles
 
 N_PARTS = 3
 
@@ -44,7 +50,9 @@ def toy(seed: int, n_points: int = 90, n_template: int = 60):
     evidence[:4] = templates.label[pick[:4]]
     normals = rng.normal(size=(n_points, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    problem = Problem(points, normals, descriptors[pick] + rng.normal(scale=0.05, size=(n_points, 10)), offsets, index, evidence)
+    problem = Problem(
+        points, normals, descriptors[pick] + rng.normal(scale=0.05, size=(n_points, 10)), offsets, index, evidence
+    )
     segmentation = rng.dirichlet(np.ones(N_PARTS), n_points)
     segmentation[:4] = np.eye(N_PARTS)[evidence[:4]]
     beliefs = Beliefs(
@@ -61,8 +69,9 @@ def test_correspondences_equal_the_oracle():
     got = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
     pairs = np.split(candidates.template_index, candidates.offsets[1:-1])
     wanted = oracles.correspondences(
-        problem.points, problem.descriptors, problem.normals, beliefs.deformed, beliefs.variance, templates.descriptors, mapped_normals(templates, beliefs), templates.label,
-        pairs, beliefs.segmentation, covariances.unary, DESCRIPTOR_WEIGHT / covariances.descriptor, LOG_EPSILON, NORMAL_WEIGHT,
+        problem.points, problem.descriptors, problem.normals, beliefs.deformed, beliefs.variance,
+        templates.descriptors, mapped_normals(templates, beliefs), templates.label, pairs, beliefs.segmentation,
+        covariances.unary, DESCRIPTOR_WEIGHT / covariances.descriptor, LOG_EPSILON, NORMAL_WEIGHT,
     )  # fmt: skip
     np.testing.assert_allclose(got.q, np.concatenate(wanted), atol=1e-10)
     sums = np.add.reduceat(got.q, candidates.offsets[:-1])
@@ -172,12 +181,14 @@ def test_part_maps_recover_an_affine_change_of_each_part():
     problem, templates, beliefs, covariances = toy(7, n_points=600, n_template=240)
     truth = np.array([[1.3, 0.1, 0.0], [0.0, 0.8, 0.0], [0.0, 0.05, 1.1]])
     points = templates.points @ truth.T + 0.02
-    problem = replace(problem, points=points, normals=templates.normals, descriptors=templates.descriptors, offsets=np.zeros(241, np.int64),
+    problem = replace(problem, points=points, normals=templates.normals,
+                      descriptors=templates.descriptors, offsets=np.zeros(241, np.int64),
                       neighbour=np.zeros(0, np.int32), evidence=np.full(240, -1, np.int32))  # fmt: skip
     correspondence = update_correspondences(
         problem, templates,
         find_candidates(problem, templates, replace(beliefs, deformed=points), covariances.descriptor),
-        replace(beliefs, deformed=points, segmentation=np.full((240, N_PARTS), 1 / 3), evidence=problem.evidence), np.full(3, 1e-6),
+        replace(beliefs, deformed=points, segmentation=np.full((240, N_PARTS), 1 / 3), evidence=problem.evidence),
+        np.full(3, 1e-6),
     )  # fmt: skip
     for _ in range(30):  # the ridge leans on the previous map, so it takes a few rounds
         beliefs = update_maps(templates, correspondence, beliefs)

@@ -1,0 +1,52 @@
+"""Closest points on a mesh against the brute-force oracle."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from shapeforge.collection.shape import Mesh
+from shapeforge.collection.surface import closest_points
+from tests.oracles import distance_to_triangle
+
+
+def soup(seed: int, count: int) -> Mesh:
+    rng = np.random.default_rng(seed)
+    corners = rng.normal(size=(count, 1, 3)) + 0.3 * rng.normal(size=(count, 3, 3))
+    triangles = np.arange(3 * count).reshape(-1, 3)
+    return Mesh(corners.reshape(-1, 3), triangles, np.arange(count), count)
+
+
+@pytest.mark.parametrize("count", [1, 7, 60])
+def test_closest_points_equal_brute_force(count):
+    mesh = soup(count, count)
+    queries = np.random.default_rng(1).normal(size=(12, 3))
+    positions, triangle, distance = closest_points(mesh, queries)
+    for i, query in enumerate(queries):
+        brute = min(distance_to_triangle(query, *mesh.vertices[row]) for row in mesh.triangles)
+        assert distance[i] <= brute + 1e-12 and distance[i] > brute - 0.03
+        np.testing.assert_allclose(np.linalg.norm(positions[i] - query), distance[i], atol=1e-12)
+        a, b, c = mesh.vertices[mesh.triangles[triangle[i]]]
+        weights = np.linalg.lstsq(np.stack([a, b, c]).T, positions[i], rcond=None)[0]
+        assert weights.min() > -1e-6
+
+
+def test_points_of_the_surface_are_their_own_closest_points():
+    mesh = soup(3, 500)
+    inside = mesh.vertices[mesh.triangles].mean(axis=1)
+    positions, _, distance = closest_points(mesh, inside)
+    np.testing.assert_allclose(positions, inside, atol=1e-9)
+    assert distance.max() < 1e-9
+
+
+def test_degenerate_triangles_do_no_harm():
+    mesh = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 0, 0], [0, 1, 1], [0, 1, 2]]),
+                np.arange(3), 3)  # fmt: skip
+    positions, _, distance = closest_points(mesh, np.array([[0.2, 0.2, 0.7]]))
+    np.testing.assert_allclose(positions, [[0.2, 0.2, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(distance, 0.7)
+
+
+def test_absent_queries_are_refused():
+    with pytest.raises(ValueError, match="finite"):
+        closest_points(soup(0, 3), np.array([[np.nan, 0, 0]]))

@@ -1,0 +1,165 @@
+"""Algorithm 1 on a small generated family: it beats its own affine start, and nothing depends on who runs it."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from shapeforge.collection.families import generate
+from shapeforge.collection.groups import Groups
+from shapeforge.collection.prepare import prepare_shape
+from shapeforge.deformation.apply import fit_one
+from shapeforge.deformation.faces import label_faces
+from shapeforge.deformation.fit import FitDiverged, fit_templates
+from shapeforge.deformation.hierarchy import corresponding_points, link_templates
+
+N_POINTS = 700
+
+
+@pytest.fixture(scope="module")
+def family():
+    """Five side chairs and an armchair; the armchair and one side chair are exemplars."""
+    made = generate("chairs", 5, seed=11, broken=0.0, classes=("side",))
+    made += generate("chairs", 1, seed=11, broken=0.0, classes=("armchair",))
+    shapes = [
+        prepare_shape(f"{i}_{one.name}", one.mesh, n_points=N_POINTS, up="keep", rng=np.random.default_rng(i))
+        for i, one in enumerate(made)
+    ]
+    names = made[-1].part_names
+    truth = [np.array([names.index(one.part_names[part]) for part in one.faces], np.int32) for one in made]
+    groups = Groups(("a", "b"), np.array([0, 0, 0, 0, 0, 1]), np.array([0, 5]), np.zeros((6, 2)))
+    return shapes, groups, truth, names
+
+
+def run(family, **options):
+    shapes, groups, truth, names = family
+    labels = {0: truth[0], 5: truth[5]}
+    options = {"rounds": 8, "rng": np.random.default_rng(0), **options}
+    return list(fit_templates(shapes, groups, labels, names, **options))
+
+
+@pytest.fixture(scope="module")
+def states(family):
+    return run(family)
+
+
+def accuracy(family, states) -> float:
+    shapes, _, truth, _ = family
+    share = []
+    for t in (1, 2, 3, 4):
+        predicted = states[-1].beliefs[t].segmentation.argmax(axis=1)
+        share.append((predicted == truth[t][shapes[t].face_of_point]).mean())
+    return float(np.mean(share))
+
+
+def test_labels_are_ahead_of_the_affine_start(family, states):
+    shapes, _, truth, _ = family
+    start = states[0]
+    affine = []
+    for t in (1, 2, 3, 4):
+        beliefs = start.beliefs[t]
+        template = start.templates[beliefs.template]
+        nearest = cKDTree(beliefs.deformed).query(shapes[t].points)[1]
+        affine.append((template.label[nearest] == truth[t][shapes[t].face_of_point]).mean())
+    ours = accuracy(family, states)
+    assert ours > np.mean(affine) + 0.02
+    assert ours > 0.8
+
+
+def test_states_tell_the_story(states):
+    assert [state.round for state in states] == list(range(len(states)))
+    assert states[0].phase == "affine start" and states[-1].stop_reason
+    assert all(np.isfinite(state.energy) for state in states[1:])
+    sigma = [float(np.sqrt(state.covariances.unary.mean())) for state in states[1:]]
+    assert (np.diff(sigma) < 0).all(), "σ1 is annealed every round"
+    for beliefs in states[-1].beliefs:
+        np.testing.assert_allclose(beliefs.segmentation.sum(axis=1), 1.0, atol=1e-9)
+
+
+def test_side_chairs_have_no_arms_and_the_armchair_keeps_them(family, states):
+    names = family[3]
+    arm = names.index("arm")
+    for t in (1, 2, 3, 4):
+        assert not states[-1].beliefs[t].active[arm]
+        assert states[-1].beliefs[t].segmentation[:, arm].max() < 0.5
+    assert states[-1].beliefs[5].active[arm]
+
+
+def test_painted_points_keep_their_label(family, states):
+    shapes, _, truth, _ = family
+    painted = truth[0][shapes[0].face_of_point]
+    assert (states[-1].beliefs[0].segmentation.argmax(axis=1) == painted).all()
+
+
+def same(a, b) -> bool:
+    return all(
+        np.array_equal(x.beliefs.deformed, y.beliefs.deformed)
+        and np.array_equal(x.beliefs.segmentation, y.beliefs.segmentation)
+        for one, other in zip(a.candidates, b.candidates, strict=True)
+        for x, y in zip(one, other, strict=True)
+    )
+
+
+def test_same_bytes_with_any_number_of_workers(family, states):
+    with ThreadPoolExecutor(3) as executor:
+        assert same(run(family, executor=executor)[-1], states[-1])
+
+
+def test_a_resumed_fit_equals_an_uninterrupted_one(family, states):
+    rest = run(family, resume=states[2])
+    assert rest[0].round == 3
+    assert same(rest[-1], states[-1])
+
+
+def test_broken_descriptors_stop_the_fit_with_the_last_good_state(family):
+    shapes, groups, truth, names = family
+    broken = [*shapes[:2], replace(shapes[2], descriptors=np.full_like(shapes[2].descriptors, np.nan)), *shapes[3:]]
+    with pytest.raises(FitDiverged) as caught, np.errstate(all="ignore"):
+        list(fit_templates(broken, groups, {0: truth[0]}, names, rng=np.random.default_rng(0)))
+    assert caught.value.state.round == 0
+
+
+def test_an_unpainted_family_is_refused_with_the_remedy(family):
+    shapes, groups, _, names = family
+    with pytest.raises(ValueError, match="paint one"):
+        next(fit_templates(shapes, groups, {}, names, rng=np.random.default_rng(0)))
+
+
+def test_faces_follow_the_points_and_painted_faces_stay(family, states):
+    shapes, _, truth, _ = family
+    t = 2
+    labels, probabilities = label_faces(shapes[t], states[-1].beliefs[t])
+    area = shapes[t].mesh.face_areas
+    assert area[labels == truth[t]].sum() / area.sum() > 0.9
+    np.testing.assert_allclose(probabilities.sum(axis=1), 1.0, atol=1e-5)
+    painted = np.full(len(labels), -1, np.int32)
+    painted[:7] = 1
+    kept, _ = label_faces(shapes[t], states[-1].beliefs[t], painted)
+    assert (kept[:7] == 1).all()
+
+
+def test_every_shape_corresponds_through_the_family_templates(family, states):
+    shapes = family[0]
+    hierarchy = link_templates(states[-1].templates)
+    n_top = hierarchy.top.n_points
+    arm = hierarchy.top.label == hierarchy.top.part_names.index("arm")
+    for t, beliefs in enumerate(states[-1].beliefs):
+        positions, exists = corresponding_points(shapes[t], beliefs, hierarchy)
+        assert positions.shape == (n_top, 3)
+        assert np.isnan(positions[~exists]).all() and np.isfinite(positions[exists]).all()
+        assert exists[arm].all() == (t == 5) and exists[arm].any() == (t == 5)
+        gap = cKDTree(shapes[t].points).query(positions[exists])[0]
+        assert gap.max() < 0.06, "on the surface, whose samples are nowhere this sparse"
+    assert all(np.isclose(link.weight.sum(axis=1)[link.exists], 1).all() for link in hierarchy.links)
+
+
+def test_a_new_shape_is_fitted_without_refitting(family, states):
+    shapes, _, truth, _ = family
+    last = states[-1]
+    beliefs = fit_one(shapes[3], last.templates, last.covariances, annealed_from=last.annealed_from, rounds=6)
+    right = beliefs.segmentation.argmax(axis=1) == truth[3][shapes[3].face_of_point]
+    assert right.mean() > 0.72
