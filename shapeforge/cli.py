@@ -159,7 +159,7 @@ def import_(
     restart: Restart = False,
     as_json: Json = False,
 ) -> None:
-    """Read meshes into PROJECT (made if absent): check, orient, sample, describe. Bad files are reported and skipped."""
+    """Read meshes into PROJECT (made if absent): check, orient, sample, describe. Bad files are named and skipped."""
     if up is not None and up not in ("auto", "x", "y", "z", "keep"):
         raise typer.BadParameter(f"--up: wanted auto, x, y, z or keep, got {up!r}")
     run_stage(
@@ -173,7 +173,9 @@ def group(
     path: ProjectPath,
     exemplars: Annotated[
         list[str] | None,
-        typer.Option("--exemplars", metavar="NAME...", help="Shapes that shall stand for the groups, by hand."),
+        typer.Option(
+            "--exemplars", metavar="NAME...", help="Shapes that shall stand for the groups, by hand; auto: found again."
+        ),
     ] = None,
     more: Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", hidden=True)] = None,
     seed: Seed = None,

@@ -368,7 +368,7 @@ def next_step(project: Project) -> str:
     required = ("import", "group", "label", "fit", "learn", "synthesize")
     for stage in required:
         state = states[stage].state
-        if stage == "label" and (project.labelled or states["cosegment"].state == "done"):
+        if stage == "label" and not project.labelled and states["cosegment"].state == "done":
             continue
         if state != "done" and not (stage == "import" and state == "stale"):
             return _remedy(project, stage)

@@ -182,13 +182,15 @@ def _import_one(
 
 
 def group(task: Task) -> Iterator[Progress]:
-    """Groups of similar shapes and an exemplar for each; ``exemplars`` (shape names) sets them by hand."""
+    """Groups of similar shapes and an exemplar for each; ``exemplars`` (shape names) sets them by hand, "auto" unsets."""
     from shapeforge.collection.groups import group_shapes
 
     project = task.project
     chosen = task.options["exemplars"]
     if isinstance(chosen, str):
         chosen = [chosen]
+    if chosen == ["auto"]:
+        chosen = None
     unknown = [name for name in chosen or () if name not in project.names]
     if unknown:
         raise StageError(f"exemplars: {unknown[0]!r} is not a shape of {project.path}; shapeforge info lists them")

@@ -24,7 +24,7 @@ ROUNDS_PER_ALTERNATION = 2
 
 
 def fit(task: Task) -> Iterator[Progress]:
-    """Templates, correspondences and segmentations (one checkpoint a round), then the high-level templates and faces."""
+    """Templates, correspondences, segmentations (a checkpoint a round), then the high-level templates and faces."""
     from shapeforge.deformation.fit import fit_templates
     from shapeforge.deformation.hierarchy import link_templates
 
@@ -260,9 +260,7 @@ def _prior(
     return prior
 
 
-def on_template(
-    mean: np.ndarray, precision: np.ndarray, link: Any, n_points: int
-) -> tuple[np.ndarray, np.ndarray]:
+def on_template(mean: np.ndarray, precision: np.ndarray, link: Any, n_points: int) -> tuple[np.ndarray, np.ndarray]:
     """A Gaussian on top-level points (K, 3), handed to the template points that each is a convex mix of.
 
     A template point takes the precision-weighted mean of what is said about the top-level points it takes part in;

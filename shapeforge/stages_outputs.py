@@ -82,12 +82,11 @@ def face_and_point_probabilities(project: Project, shape: Shape, part_names: Par
     state, beliefs = project.fit(), project.beliefs(shape.name)
     templates, covariances = state.templates[beliefs.template], state.covariances
     problem = make_problem(shape, project.labels(shape.name))
-    alive = beliefs.active[templates.label]
-    candidates = find_candidates(problem, templates, beliefs.deformed, alive, covariances.descriptor)
+    candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
     sparse = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
     return {
         "labels": project.face_probabilities(shape.name), "ids": np.array(part_names.ids, np.int64),
-        "samples": shape.frame.to_input(shape.points), "template": np.int64(beliefs.template),
+        "samples": shape.frame.to_input(shape.points), "template": np.array(beliefs.template, np.int64),
         "point": np.repeat(np.arange(shape.n_points), np.diff(candidates.offsets)),
         "template_point": candidates.template_index, "correspondence": np.asarray(sparse.q, np.float32),
     }  # fmt: skip

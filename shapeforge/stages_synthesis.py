@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from shapeforge.collection.labels import PartNames, write_part_names, write_seg
 from shapeforge.stages import Progress, StageError, Task
@@ -66,7 +67,7 @@ def synthesize(task: Task) -> Iterator[Progress]:
 
 
 def as_record(shape: Any) -> dict[str, Any]:
-    """A ``SynthesizedShape`` as plain arrays and numbers, triangles sorted by part so that any format keeps them."""
+    """A ``SynthesizedShape`` as plain arrays and numbers, triangles sorted by part as some formats have them."""
     order = np.argsort(shape.part, kind="stable")
     return {
         "vertices": np.asarray(shape.vertices, np.float64), "triangles": np.asarray(shape.triangles, np.int32)[order],
@@ -76,15 +77,19 @@ def as_record(shape: Any) -> dict[str, Any]:
 
 
 def write_labelled(out: Path, name: str, made: dict[str, Any], part_names: PartNames, ending: str) -> None:
-    """Write a mesh and its ``.seg`` (one label id per triangle, in the mesh's order) into ``out``."""
-    from shapeforge.collection.meshes import write_mesh
+    """Write a mesh and its ``.seg`` (one label id per triangle, in the order the file is read in) into ``out``."""
+    from shapeforge.collection.meshes import read_mesh, write_mesh
 
     path = out / f"{name}.{ending}"
     colours = part_colours(len(made["part_names"]))
     with clear_disk_errors(path):
         out.mkdir(parents=True, exist_ok=True)
         write_mesh(path, made["vertices"], made["triangles"], made["part"], tuple(made["part_names"]), colours)
-        write_seg(out / f"{name}.seg", made["part"], part_names)
+        part = made["part"]
+        if ending == "glb":  # its nodes are read in an order of the reader's own: look which triangle came where
+            centres = made["vertices"][made["triangles"]].mean(axis=1)
+            part = part[cKDTree(centres).query(read_mesh(path).face_centres)[1]]
+        write_seg(out / f"{name}.seg", part, part_names)
 
 
 def part_colours(count: int) -> np.ndarray:

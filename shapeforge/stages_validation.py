@@ -62,7 +62,7 @@ def validate(
             if problem is not None:
                 yield Progress("validate", "read", len(truth), len(names), str(problem), problem=problem)
         if not truth:
-            raise StageError(f"{labels}: has no .seg file that fits a shape of the project (wanted e.g. {names[0]}.seg)")
+            raise StageError(f"{labels}: no .seg file in it fits a shape of the project (e.g. {names[0]}.seg)")
     found = project.descriptors()
     if true_classes is not None and found is None:
         raise StageError(f"classes need descriptors. Learn first: shapeforge learn {project.path}")

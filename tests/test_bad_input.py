@@ -144,9 +144,7 @@ def test_names_that_collide_are_told_apart(tmp_path: Path, capsys: pytest.Captur
     assert len(Project.open(tmp_path / "q").names) == 2
 
 
-def test_a_file_that_goes_bad_keeps_its_shape(
-    project: Project, cube: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_goes_bad_keeps_its_shape(project: Project, cube: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = project.shapes.named("cube").points
     cube.write_text("v 0 0 0\n")
     status, _, err = run(capsys, "import", project.path, cube)

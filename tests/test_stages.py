@@ -173,9 +173,8 @@ def test_other_points_prepare_all_shapes_again(grouped: Project, tmp_path: Path)
     assert {shape.n_points for shape in project.shapes} == {300}
     assert project.stage_record("import")["summary"]["read"] == COUNT
     last(run(project, "import"))
-    assert project.stage_record("import")["summary"] | {"kept": COUNT, "read": 0} == (
-        project.stage_record("import")["summary"]
-    )
+    summary = project.stage_record("import")["summary"]
+    assert (summary["kept"], summary["read"]) == (COUNT, 0)
 
 
 # -- what cannot be done ---------------------------------------------------------------------------------------------
@@ -254,9 +253,7 @@ def test_a_killed_import_goes_on(family: Path, grouped: Project, tmp_path: Path,
         assert np.array_equal(mine.points, other.points) and np.array_equal(mine.descriptors, other.descriptors)
 
 
-def test_a_watched_fit_equals_an_unwatched_one_whatever_the_workers(
-    done: Project, tmp_path: Path
-) -> None:
+def test_a_watched_fit_equals_an_unwatched_one_whatever_the_workers(done: Project, tmp_path: Path) -> None:
     for jobs in (1, 3):
         project = copy_of(done, tmp_path / f"jobs{jobs}")
         for progress in run(project, "fit", restart=True, jobs=jobs):

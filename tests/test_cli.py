@@ -1,0 +1,274 @@
+"""The command line: every verb of the contract, exit status, JSON, files that others rely on."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from shapeforge.cli import run_command
+from shapeforge.collection.families import write_family
+from shapeforge.collection.meshes import read_mesh
+from shapeforge.collection.shape import Mesh
+from shapeforge.collection.surface import closest_points
+from shapeforge.store import Project
+
+VERBS = (
+    "demo", "import", "group", "label", "cosegment", "fit", "apply", "learn", "refine", "synthesize", "validate",
+    "report", "export", "info", "view",
+)  # fmt: skip
+COUNT = 6
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    """Exit status, standard output and standard error of one command."""
+    status = run_command([str(argument) for argument in arguments])
+    out, err = capsys.readouterr()
+    assert "Traceback" not in out + err
+    return status, out, err
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A family and a project with every stage done, by the command line; ids of labels are not indices."""
+    top = tmp_path_factory.mktemp("cli")
+    write_family(top / "family", "chairs", COUNT, seed=5, broken=0.0, classes=["side", "armchair"])
+    old = json.loads((top / "family" / "labels.json").read_text())
+    (top / "family" / "labels.json").write_text(json.dumps({str(10 * int(i)): name for i, name in old.items()}))
+    for seg in (top / "family").glob("*.seg"):
+        seg.write_text("".join(f"{10 * int(line)}\n" for line in seg.read_text().split()))
+    for line in (
+        ["import", "P", str(top / "family"), "--points", "400", "--up", "keep"],
+        ["group", "P", "--exemplars", "chair_0000", "chair_0001"],
+        ["label", "P", str(top / "family"), "--only", "exemplars"],
+        ["fit", "P", "--rounds", "3"],
+        ["learn", "P", "--epochs", "3"],
+        ["synthesize", "P", "--count", "2", "--out", str(top / "new"), "--format", "ply"],
+        ["export", "P", "--out", str(top / "export"), "--probabilities"],
+    ):
+        assert run_command([str(top / "project") if word == "P" else word for word in line]) == 0, line
+    return top
+
+
+def seg(path: Path) -> np.ndarray:
+    return np.array(path.read_text().split(), int)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_has_help(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, verb, "--help")
+    assert status == 0 and "Usage" in out
+
+
+def test_no_other_verbs(capsys: pytest.CaptureFixture[str]) -> None:
+    from shapeforge.cli import app
+
+    names = {command.name or command.callback.__name__ for command in app.registered_commands}
+    assert names == set(VERBS)
+
+
+@pytest.mark.parametrize("verb", ["fit", "learn", "group", "synthesize"])
+def test_json_is_the_last_line(verb: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out_option = ["--out", str(folder / "new")] if verb == "synthesize" else []
+    status, out, _ = run(capsys, verb, folder / "project", *out_option, "--json")
+    assert status == 0
+    found = json.loads(out.splitlines()[-1])
+    assert found["verb"] == verb and "up to date" in out
+
+
+# -- export ----------------------------------------------------------------------------------------------------------
+
+
+def test_exported_labels_use_the_ids_and_the_faces_of_the_files(folder: Path) -> None:
+    names = json.loads((folder / "export" / "labels" / "labels.json").read_text())
+    assert names == json.loads((folder / "family" / "labels.json").read_text())
+    for file in (folder / "family").glob("*.obj"):
+        labels = seg(folder / "export" / "labels" / f"{file.stem}.seg")
+        assert len(labels) == read_mesh(file).n_faces == len(seg(folder / "family" / f"{file.stem}.seg"))
+        assert set(labels) <= {-1, *map(int, names)}
+    for exemplar in ("chair_0000", "chair_0001"):  # what was painted stays
+        painted, got = (seg(folder / where / f"{exemplar}.seg") for where in ("family", "export/labels"))
+        assert (painted == got).all()
+
+
+def test_exported_points_lie_on_the_input_meshes(folder: Path) -> None:
+    ids = {int(i) for i in json.loads((folder / "export" / "labels" / "labels.json").read_text())}
+    part = None
+    for file in sorted((folder / "family").glob("*.obj")):
+        with np.load(folder / "export" / "points" / f"{file.stem}.npz", allow_pickle=False) as arrays:
+            positions, existence = arrays["positions"], arrays["existence"]
+            assert part is None or np.array_equal(part, arrays["part"])
+            part = arrays["part"]
+        assert positions.shape == (len(part), 3) and existence.dtype == bool and set(part.tolist()) <= ids
+        assert (np.isnan(positions).all(axis=1) == ~existence).all() and existence.any()
+        mesh = read_mesh(file)
+        distance = np.linalg.norm(closest_points(mesh, positions[existence])[0] - positions[existence], axis=1)
+        assert distance.max() < 1e-5 * np.ptp(mesh.vertices, axis=0).max()
+
+
+def test_exported_tables(folder: Path) -> None:
+    with open(folder / "export" / "groups.csv", newline="") as file:
+        rows = list(csv.reader(file))
+    assert rows[0] == ["shape", "group", "exemplar"] and len(rows) == COUNT + 1
+    assert {row[0] for row in rows[1:] if row[2] == "true"} == {"chair_0000", "chair_0001"}
+    assert {row[2] for row in rows[1:]} == {"true", "false"}
+    with open(folder / "export" / "descriptors.csv", newline="") as file:
+        rows = list(csv.reader(file))
+    assert rows[0][0] == "shape" and len(rows) == COUNT + 1
+    assert np.isfinite(np.array([row[1:] for row in rows[1:]], float)).all() and len(rows[1]) > 3
+
+
+def test_exported_probabilities(folder: Path) -> None:
+    project = Project.open(folder / "project")
+    name = project.names[3]
+    with np.load(folder / "export" / "probabilities" / f"{name}.npz", allow_pickle=False) as arrays:
+        labels, q, point = arrays["labels"], arrays["correspondence"], arrays["point"]
+        assert labels.shape == (project.shape_record(name)["n_faces"], len(arrays["ids"]))
+        assert np.allclose(labels.sum(axis=1), 1, atol=1e-4)
+        assert np.allclose(np.bincount(point, q, minlength=400), 1, atol=1e-3)
+        assert arrays["template_point"].max() < project.fit().templates[int(arrays["template"])].n_points
+
+
+# -- apply, synthesize, validate -------------------------------------------------------------------------------------
+
+
+def test_apply_labels_a_shape_as_the_fit_would(folder: Path, tmp_path: Path, capsys) -> None:
+    before = (folder / "project" / "project.json").read_bytes()
+    status, out, err = run(
+        capsys, "apply", folder / "project", folder / "family" / "chair_0004.obj", "--out", tmp_path, "--json"
+    )
+    assert status == 0, err
+    assert json.loads(out.splitlines()[-1])["shapes"] == 1
+    mine, fitted = (seg(p / "labels" / "chair_0004.seg") for p in (tmp_path, folder / "export"))
+    assert len(mine) == len(fitted) and (mine == fitted).mean() > 0.7
+    with np.load(tmp_path / "points" / "chair_0004.npz", allow_pickle=False) as arrays:
+        assert len(arrays["positions"]) == len(arrays["part"]) == len(arrays["existence"])
+    assert "chair_0004" in (tmp_path / "descriptors.csv").read_text()
+    assert (folder / "project" / "project.json").read_bytes() == before
+
+
+def test_apply_reports_bad_files_and_fails(folder: Path, tmp_path: Path, capsys) -> None:
+    (tmp_path / "bad.obj").write_text("nothing")
+    status, _, err = run(
+        capsys, "apply", folder / "project", tmp_path / "bad.obj", folder / "family" / "chair_0002.obj", "--out",
+        tmp_path / "out",
+    )  # fmt: skip
+    assert status == 1 and "bad.obj" in err and (tmp_path / "out" / "labels" / "chair_0002.seg").is_file()
+
+
+def test_new_meshes_are_labelled_face_by_face(folder: Path) -> None:
+    files = sorted((folder / "new").glob("*.ply"))
+    assert len(files) == 2
+    ids = {int(i) for i in json.loads((folder / "new" / "labels.json").read_text())}
+    for file in files:
+        mesh, labels = read_mesh(file), seg(file.with_suffix(".seg"))
+        assert len(labels) == mesh.n_faces and set(labels) <= ids and len(set(labels)) > 1
+    measures = json.loads((folder / "new" / "measures.json").read_text())
+    assert measures.keys() == {file.stem for file in files}
+    project = Project.open(folder / "project")
+    assert measures[files[0].stem]["sources"] and project.draws()["names"] == [file.stem for file in files]
+
+
+@pytest.mark.parametrize("ending", ["glb", "obj", "stl"])
+def test_labels_belong_to_their_faces_in_any_format(folder: Path, tmp_path: Path, ending: str) -> None:
+    from shapeforge.stages_synthesis import write_labelled
+    from shapeforge.store import PartNames
+    from shapeforge.store_arrays import read_record
+
+    project = Project.open(folder / "project")
+    path = project.current_folder("synthesize") / "shapes"
+    made = read_record(next(iter(sorted(path.iterdir()))))[0]
+    ids = PartNames(tuple(range(len(made["part_names"]))), tuple(made["part_names"]))
+    write_labelled(tmp_path, "x", made, ids, ending)
+    mesh, labels = read_mesh(tmp_path / f"x.{ending}"), seg(tmp_path / "x.seg")
+    centres = made["vertices"][made["triangles"]].mean(axis=1)
+    assert mesh.n_faces == len(labels)
+    came_from = cKDTree(centres).query(mesh.face_centres)[1]  # a glb's nodes are read in another order
+    assert np.allclose(mesh.face_centres, centres[came_from], atol=1e-5) and (labels == made["part"][came_from]).all()
+    assert ending == "glb" or (came_from == np.arange(len(labels))).mean() > 0.99
+    areas = np.bincount(labels, mesh.face_areas, len(ids))
+    wanted = Mesh(made["vertices"], made["triangles"], np.arange(len(labels)), len(labels)).face_areas
+    assert np.allclose(areas, np.bincount(made["part"], wanted, len(ids)), rtol=1e-4)
+
+
+def test_validate_leaves_out_what_was_shown(folder: Path, capsys) -> None:
+    truth = folder / "family"
+    status, out, err = run(
+        capsys, "validate", folder / "project", "--labels", truth, "--landmarks", truth / "landmarks.json", "--classes",
+        truth / "classes.csv", "--json",
+    )  # fmt: skip
+    assert status == 0, err
+    found = json.loads(out.splitlines()[-1])
+    assert found["left_out"] == ["chair_0000", "chair_0001"]
+    assert found["segmentation"]["n"] == COUNT - 2 == found["segmentation"]["affine_transfer"]["n"]
+    assert 0.5 < found["segmentation"]["area"] <= 1 and 0 < found["correspondence"]["corr"]["0.1"] <= 1
+    assert "affine transfer" in out and f"{COUNT - 2} shapes" in out and found["classification"]["n"] == COUNT
+
+
+def test_labels_taken_from_the_fit_itself_validate_perfectly(folder: Path, capsys) -> None:
+    """The exported labels as truth: every share must be 1, which a mix-up of ids, faces or names would break."""
+    status, out, _ = run(capsys, "validate", folder / "project", "--labels", folder / "export" / "labels", "--json")
+    found = json.loads(out.splitlines()[-1])["segmentation"]
+    assert status == 0 and found["faces"] == found["area"] == found["part_iou"] == 1.0
+
+
+# -- info, view, the program itself ----------------------------------------------------------------------------------
+
+
+def test_info_tells_all(folder: Path, capsys) -> None:
+    status, out, _ = run(capsys, "info", folder / "project", "--json")
+    found = json.loads(out.splitlines()[-1])
+    assert status == 0 and len(found["shapes"]) == COUNT and found["exemplars"] == ["chair_0000", "chair_0001"]
+    assert found["stages"]["fit"]["state"] == "done" and found["stages"]["refine"]["state"] == "missing"
+    assert found["next"] in out
+
+
+def test_view_without_a_screen_says_so(folder: Path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    status, _, err = run(capsys, "view", folder / "project")
+    assert status == 1 and "no screen" in err and "report" in err
+
+
+def test_the_installed_program_answers_quickly() -> None:
+    """``shapeforge --help`` loads no numerics."""
+    code = "import sys, shapeforge.cli; print(*sorted({m.split('.')[0] for m in sys.modules}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert {"numba", "scipy", "sklearn", "zarr", "trimesh"}.isdisjoint(done.stdout.split())
+
+
+@pytest.mark.slow
+def test_proposed_parts_instead_of_labels(folder: Path, tmp_path: Path, capsys) -> None:
+    truth = folder / "family"
+    path = tmp_path / "p"
+    for line in (
+        ["import", path, truth, "--points", 400],
+        ["group", path, "--exemplars", "chair_0000,chair_0001"],
+        ["cosegment", path, "--parts", 4],
+        ["fit", path, "--rounds", 2],
+    ):
+        status, _, err = run(capsys, *line)
+        assert status == 0, err
+    status, out, err = run(capsys, "validate", path, "--labels", truth, "--json")
+    assert status == 0, err
+    found = json.loads(out.splitlines()[-1])
+    assert found["left_out"] == [] and found["segmentation"]["n"] == COUNT
+    assert set(found["proposed_parts_are"]) == {f"part {i}" for i in range(1, 5)}
+    assert found["segmentation"]["area"] > 0.5
+
+
+@pytest.mark.slow
+def test_the_demo_runs_through(tmp_path: Path, capsys) -> None:
+    status, out, err = run(
+        capsys, "demo", tmp_path / "d", "--count", 8, "--points", 400, "--no-window", "--family", "airplanes", "--json"
+    )
+    assert status == 0, err
+    found = json.loads(out.splitlines()[-1])
+    assert len(list((tmp_path / "d" / "synthesized").glob("*.glb"))) >= 20
+    assert found["validation"]["segmentation"]["n"] >= 1 and (tmp_path / "d" / "report.html").stat().st_size > 10_000
