@@ -7,7 +7,9 @@ system.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Mapping
+from ctypes.util import find_library
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -30,6 +32,9 @@ def write_report(
     ``measures`` is what ``validate`` found (shown as a table); ``most`` the number of shapes shown at most.
     Pictures are taken off screen: RuntimeError where there is no OpenGL, OSError where ``path`` cannot be written.
     """
+    absent = [name for name in ("EGL", "GL") if find_library(name) is None]
+    if sys.platform.startswith("linux") and absent:  # VTK would end the process
+        raise RuntimeError(f"lib{absent[0]} is missing, pictures need it. Install it: sudo apt install libegl1 libgl1")
     path = Path(path)
     text = report_text(project, measures=measures, most=most)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -65,6 +65,7 @@ def _percent(share: float) -> str:
 
 
 def sentence(project: Any) -> str:
+    """What the project has, in one line."""
     count = len(project.names)
     parts = _part_names(project)
     words = [f"{count} shape{'s' * (count != 1)}"]
@@ -81,6 +82,7 @@ def sentence(project: Any) -> str:
 
 
 def overview(project: Any) -> str:
+    """Every stage: its state, what came of it, how long it took; and the next step."""
     from shapeforge.stages import next_step, status
 
     marks = {"done": ("✓", "ok"), "stale": ("!", "warning"), "partial": ("…", "warning"), "missing": ("–", "off"),
@@ -100,6 +102,7 @@ def overview(project: Any) -> str:
 
 
 def groups(project: Any) -> str:
+    """Every group with its exemplar and some of its members."""
     groups = project.groups
     if groups is None:
         return ""
@@ -127,6 +130,7 @@ def groups(project: Any) -> str:
 
 
 def shapes(project: Any, shown: Sequence[str]) -> str:
+    """The shapes ``shown``: as given, by part, by correspondence."""
     if not shown:
         return ""
     groups = project.groups
@@ -180,6 +184,7 @@ def _about(project: Any, name: str) -> str:
 
 
 def fit(project: Any) -> str:
+    """Curves and figures of the fit."""
     record = project.stage_record(project.fit_stage)
     if record is None or project.fit_id is None:
         return ""
@@ -242,6 +247,7 @@ def recorded_movement(project: Any) -> np.ndarray:
 
 
 def directions(project: Any) -> str:
+    """Every slider: both its ends, where it moves the shape, and where the family lies."""
     from shapeforge.generative.inference import infer
     from shapeforge.generative.units import drive
     from shapeforge.viewer.palette import heat
@@ -281,6 +287,7 @@ def directions(project: Any) -> str:
 
 
 def new_shapes(project: Any) -> str:
+    """What ``synthesize`` made last, and of what."""
     from shapeforge.store_arrays import read_record
 
     folder, draws = project.current_folder("synthesize"), project.draws()
@@ -306,6 +313,7 @@ def new_shapes(project: Any) -> str:
 
 
 def measures(project: Any, measures: Mapping[str, Any] | None) -> str:
+    """Figures: those of ``validate`` when given, of the machine, of the new shapes."""
     rows: list[list[str]] = [[escape(k), v] for k, v in flattened(measures or {})]
     learnt = (project.stage_record("learn") or {}).get("summary") or {}
     for key, words in (("train_error", "machine: training error, diagonals"),
@@ -344,6 +352,7 @@ def flattened(values: Mapping[str, Any], before: str = "") -> list[tuple[str, st
 
 
 def problems(project: Any) -> str:
+    """Files that were not read, or that are doubtful."""
     rows = [
         [f'<b class="{p.kind}">{p.kind}</b>', escape(Path(p.file).name), escape(p.reason), escape(p.remedy)]
         for p in project.problems

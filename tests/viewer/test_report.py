@@ -72,6 +72,14 @@ def test_page_before_the_fit_has_no_empty_sections(grouped, tmp_path):
     assert not list((tmp_path / "new folder").glob("*.tmp"))
 
 
+def test_without_opengl_it_says_what_to_install(grouped, tmp_path, monkeypatch):
+    monkeypatch.setattr("shapeforge.viewer.report.find_library", lambda name: None)
+    monkeypatch.setattr("sys.platform", "linux")
+    with pytest.raises(RuntimeError, match="libEGL is missing.*apt install"):
+        write_report(grouped, tmp_path / "report.html")
+    assert not list(tmp_path.glob("*.html*"))
+
+
 def test_page_stands_alone_and_is_whole(whole):
     text = report_text(whole)
     page = Page(text)

@@ -82,6 +82,7 @@ class Back:
 
 
 def make_seat(rng, *, half_width, half_depth, top, kind, exponent) -> tuple[Seat, list[Piece]]:
+    """A seat and its pieces: a board, a hollowed board ("saddle"), a board with a cushion, or planks; metres."""
     taper = rng.uniform(0.0, 0.1) if half_width < 0.3 else 0.0
     board = rng.uniform(0.022, 0.038)
     if kind == "planks":
