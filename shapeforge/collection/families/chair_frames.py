@@ -81,7 +81,9 @@ class Back:
 # ---------------------------------------------------------------------------------------------------------- seats
 
 
-def make_seat(rng, *, half_width, half_depth, top, kind, exponent) -> tuple[Seat, list[Piece]]:
+def make_seat(
+    rng: np.random.Generator, *, half_width: Number, half_depth: Number, top: Number, kind: str, exponent: Number
+) -> tuple[Seat, list[Piece]]:
     """A seat and its pieces: a board, a hollowed board ("saddle"), a board with a cushion, or planks; metres."""
     taper = rng.uniform(0.0, 0.1) if half_width < 0.3 else 0.0
     board = rng.uniform(0.022, 0.038)
