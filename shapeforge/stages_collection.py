@@ -182,7 +182,7 @@ def _import_one(
 
 
 def group(task: Task) -> Iterator[Progress]:
-    """Groups of similar shapes and an exemplar for each; ``exemplars`` (shape names) sets them by hand, "auto" unsets."""
+    """Groups of similar shapes and an exemplar for each; ``exemplars`` (names, or "auto") sets them by hand."""
     from shapeforge.collection.groups import group_shapes
 
     project = task.project

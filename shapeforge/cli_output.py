@@ -1,0 +1,83 @@
+"""What the command line says: progress on standard error, one-line errors, JSON on the last line."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import typer
+
+
+def follow(project: Any, steps: Iterator[Any], what: str) -> Any:
+    """Iterate with a progress bar on standard error; the last progress.  Problems are printed as they come."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    columns = (
+        TextColumn("{task.fields[stage]}"), TextColumn("[dim]{task.fields[phase]}"), BarColumn(24),
+        MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("[dim]{task.description}", markup=True),
+    )  # fmt: skip
+    latest = None
+    try:
+        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+            line = bar.add_task("", total=None, stage=what, phase="")
+            for latest in steps:
+                if latest.problem is not None:
+                    mark = "not read" if latest.problem.kind == "error" else "warning"
+                    bar.console.print(f"  {mark}: {latest.problem}", markup=False)
+                elif latest.phase in ("stale", "partial"):
+                    bar.console.print(f"  {latest.message}", markup=False)
+                left = f", {spoken(latest.seconds_left)} left" if (latest.seconds_left or 0) >= 2 else ""
+                bar.update(
+                    line, completed=latest.step, total=max(latest.of, 1), stage=latest.stage, phase=latest.phase,
+                    description=escaped(latest.message + left),
+                )  # fmt: skip
+                if not console.is_terminal and latest.stage in ("fit", "refine") and latest.phase != "faces":
+                    console.print(f"  {latest.message}", markup=False)
+    except KeyboardInterrupt:
+        project.log(f"{what}: stopped from the keyboard")
+        print("Stopped. Run the same command again and it goes on.", file=sys.stderr)
+        raise typer.Exit(130) from None
+    except Exception as error:
+        project.log(f"{what}: {type(error).__name__}: {error}", error)
+        raise
+    return latest
+
+
+def escaped(text: str) -> str:
+    """Text without rich's markup, cut to what a terminal line holds."""
+    from rich.markup import escape
+
+    return escape(text if len(text) <= 80 else text[:79] + "…")
+
+
+def spoken(seconds: float) -> str:
+    """A duration for people: 40 s, 5 min, 2.5 h."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def one_line(error: BaseException) -> str:
+    """An error as one sentence: ours carry their remedy, others are named."""
+    text = " ".join(str(error).split())
+    if isinstance(error, MemoryError):
+        return "not enough memory. Close other programs, use fewer --points or fewer --jobs."
+    if isinstance(error, OSError) and error.strerror:
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror}. Check the path, its permissions and the free space."
+    if isinstance(error, ValueError | RuntimeError) and text:
+        return text
+    return f"{type(error).__name__}: {text or 'no message'}. The traceback is in the project's shapeforge.log."
+
+
+def print_json(value: dict[str, Any]) -> None:
+    """One JSON object on one line, the last of the output."""
+    typer.echo(json.dumps(value, default=_plain))
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if hasattr(value, "item") else str(value)
