@@ -1,10 +1,10 @@
-"""How good are the meshes made from draws?  Generated families with their true correspondences, so that only synthesis is judged.
+"""How good are the meshes made from draws?  Generated families with true correspondences: only synthesis is judged.
 
     python -m benchmarks.synthesis_quality [--family chairs] [--count 40] [--draws 20] [--seed 0] [--json]
 
-Two kinds of draws: ``between`` lies half-way between two training shapes with the same parts, ``held out`` is a shape that
-the sources don't contain; both with Gaussian noise on every point, as a generative model would leave it.  Lengths are in
-bounding-box diagonals.  The last line is one JSON object.
+Two kinds of draws: ``between`` lies half-way between two training shapes with the same parts, ``held out`` is a shape
+that the sources don't contain; both with Gaussian noise on every point, as a generative model would leave it.  Lengths
+are in bounding-box diagonals.  The last line is one JSON object.
 """
 
 from __future__ import annotations
@@ -60,9 +60,9 @@ def bare_shape(generated: Generated) -> Shape:
     """A shape in normal coordinates with mesh and name only: synthesis asks for nothing else."""
     frame = normal_frame(generated.mesh, np.eye(3))
     mesh = generated.mesh.moved(frame.to_normal(generated.mesh.vertices))
-    none, nothing = np.zeros((0, 3)), np.zeros(0, np.int32)
+    none, nothing, unknown = np.zeros((0, 3)), np.zeros(0, np.int32), np.zeros((0, 10))
     return Shape(
-        generated.name, mesh, frame, none, none, nothing, nothing, np.zeros((0, 10)), nothing, np.zeros((0, 20), np.int32)
+        generated.name, mesh, frame, none, none, nothing, nothing, unknown, nothing, np.zeros((0, 20), np.int32)
     )
 
 
@@ -127,7 +127,7 @@ def draws_held_out(family: TrueFamily, left_out: np.ndarray, *, rng: np.random.G
 
 
 def measure(family: TrueFamily, draws: list[tuple], sources: Sources, real: list[np.ndarray], rng) -> dict:
-    """Means over the draws: seconds, gaps, folds, symmetry, distance from draw and truth, plausibility among real clouds."""
+    """Means over the draws: seconds, gaps, folds, symmetry, distance from draw and truth; plausibility of clouds."""
     seconds, preview, made, truth = [], [], [], []
     for points, exists, index in draws:
         synthesize(points, exists, sources)  # the sources are read once; the seconds are those of the next meshes

@@ -1,1 +1,1 @@
-"""Meshes out of draws: retrieve a training part for every part of a draw, bend it to fit, assemble (§5, mesh synthesis)."""
+"""Meshes out of draws: retrieve a training part for each part of a draw, bend it, assemble (§5, mesh synthesis)."""

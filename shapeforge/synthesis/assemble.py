@@ -21,10 +21,10 @@ CONTACT_ROUNDS = 2
 
 @dataclass(frozen=True, eq=False)
 class SynthesizedShape:
-    """A labelled mesh in normal coordinates: ``part`` (N,) of every triangle; ``sources[l]`` is the shape part l came from.
+    """A labelled mesh in normal coordinates: ``part`` (N,) per triangle; ``sources[l]`` is the shape part l came from.
 
-    ``sources`` is "" for absent parts.  ``measures`` is ready for JSON: largest gap, gap per touching pair, symmetry error
-    and distance of the handles from the draw (diagonals), number of folded triangle pairs.
+    ``sources`` is "" for absent parts.  ``measures`` is ready for JSON: largest gap, gap per touching pair, symmetry
+    error and distance of the handles from the draw (diagonals), number of folded triangle pairs.
     """
 
     vertices: Float[np.ndarray, "V 3"]

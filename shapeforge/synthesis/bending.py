@@ -23,10 +23,10 @@ OWN_MAP = 24
 
 @dataclass(frozen=True, eq=False)
 class BentPart:
-    """A part under way: where the draw wants its handles (``drawn``) and what the contacts made of that (``targets``).
+    """A part under way: ``drawn`` is where the draw wants its handles, ``targets`` what the contacts made of that.
 
-    ``rest`` is the pre-alignment per node;
-    unknowns ``start`` of the graph (after the pre-alignment alone) and ``x`` (as bent so far); ``anchors`` by other part.
+    ``rest`` is the pre-alignment per node; ``start`` are the graph's unknowns after the pre-alignment alone, ``x`` as
+    bent so far; ``anchors`` by other part.
     """
 
     source: SourcePart

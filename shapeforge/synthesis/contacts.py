@@ -19,15 +19,13 @@ from shapeforge.synthesis.sources import ANCHORS, Anchors
 from shapeforge.synthesis.surfaces import farthest_points
 
 FALLOFF = 0.12
-"""Drawn points move along with an anchor up to about this distance (diagonals), so that the part bends and doesn't kink."""
+"""Drawn points move along with an anchor up to about this distance (diagonals), so that the part doesn't kink."""
 SLACK = 0.003
 """An anchor may be so much (diagonals) farther from the other part than it was on its training shape."""
 FARTHEST_CONTACT = 0.06
-"""Parts that only one training shape or most others join are left apart if the draw sets them farther apart than this."""
+"""Parts that only one training shape or most others join stay apart if the draw sets them farther apart than this."""
 FARTHEST_ISLAND = 0.12
 """A part that touches nothing is joined to one that it usually touches, up to this distance (diagonals)."""
-PLATE = 0.02
-"""Surface straight across, off by less than this (diagonals), is the far side of a plate."""
 
 
 def choose_contacts(bent: Mapping[int, BentPart], touching: Float[np.ndarray, "L L"]) -> list[tuple[int, int]]:
@@ -75,7 +73,8 @@ def join_islands(
                 if distance.min() <= FARTHEST_ISLAND:
                     close = np.flatnonzero(distance <= distance.min() + 0.01)
                     chosen = close[farthest_points(vertices[close], ANCHORS)]
-                    bent[l] = replace(bent[l], anchors={**bent[l].anchors, other: _free_anchors(chosen)})
+                    held_on = Anchors(chosen, distance[chosen] - distance.min())
+                    bent[l] = replace(bent[l], anchors={**bent[l].anchors, other: held_on})
                     contacts.append((min(l, other), max(l, other)))
                     joined = True
                     break
@@ -86,15 +85,10 @@ def join_islands(
     return bent, contacts
 
 
-def _free_anchors(vertices: np.ndarray) -> Anchors:
-    """Anchors that hold on to wherever the other part is nearest."""
-    n = len(vertices)
-    return Anchors(vertices, np.zeros(n), np.full((n, 3), -1), np.zeros((n, 3)), np.zeros((n, 3)))
-
-
 def hold_contacts(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]) -> dict[int, dict[int, np.ndarray]]:
-    """Where the anchors that came loose, or went through, should go: {part: {vertex: position}}.
+    """Where the anchors that came loose should go: {part: {vertex: position}}.
 
+    Loose is what is farther from the other part than on the training shape: what was let in stays as deep.
     Of the two parts of a contact that one moves whose anchors have less far to go (the top ends of other legs may sit
     anywhere under a seat, but a corner of the seat should not reach out for them), and rather one that stretches than
     one that bends: the fin reaches up to the tailplane, the tailplane does not sag onto the fin.
@@ -103,52 +97,26 @@ def hold_contacts(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]])
     for pair in contacts:
         for l, other in (pair, pair[::-1]):
             if other in bent[l].anchors:
-                vertices = bent[l].anchors[other].vertices
-                here = bent[l].source.rows[vertices] @ bent[l].x
-                there, moves = _wanted(bent[l], bent[other], here)
+                anchors = bent[l].anchors[other]
+                here = bent[l].source.rows[anchors.vertices] @ bent[l].x
+                there, _, distance = closest_points(bent[other].surface, here)
+                moves = distance > anchors.distance + SLACK
                 bending = 2.0 - _stretchiness(bent[l].vertices, here, there - here)
-                effort = bending * float(np.linalg.norm(there - here, axis=1).mean())
-                loose[l, other] = vertices[moves], there[moves], effort
+                loose[l, other] = anchors.vertices[moves], there[moves], bending * float(distance.mean())
     held: dict[int, dict[int, np.ndarray]] = {l: {} for l in bent}
     for pair in contacts:
         ways = [way for way in (pair, pair[::-1]) if way in loose]
-        if len({bent[l].source.shape for l in pair}) == 1:
-            # A leg through the seat is seen from the leg alone: along the leg's side the seat is where it should be.
-            ways = [way for way in ways if len(loose[way][0])]
         if ways:
             l, other = min(ways, key=lambda way: loose[way][2])
             held[l].update(zip(loose[l, other][0].tolist(), loose[l, other][1], strict=True))
     return held
 
 
-def _wanted(part: BentPart, other: BentPart, here: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the anchors of ``part`` on ``other``, now ``here`` (A, 3), should be (A, 3), and which came loose (A,).
-
-    Loose is what is farther from the other part than on the training shape: what was let in stays as deep.  It goes to
-    the nearest surface; but if that is the far side of a plate, it goes back to the side it belongs to: a leg that pierced
-    its seat returns under it.  (Told only for two parts of one shape: there the place is known exactly.)
-    """
-    anchors, surface = part.anchors[other.source.part], other.surface
-    if part.source.shape != other.source.shape or (anchors.corners < 0).any():
-        place, _, distance = closest_points(surface, here)
-        return place, distance > anchors.distance + SLACK
-    own = np.einsum("ac,acd->ad", anchors.weights, other.vertices[anchors.corners])
-    place, triangle, distance = closest_points(surface, np.concatenate([here, own]))
-    n = len(here)
-    normal = surface.triangle_normals[triangle[n:]]
-    across = ((place[:n] - own) * normal).sum(axis=1)
-    beside = np.linalg.norm(place[:n] - own - across[:, None] * normal, axis=1)
-    pierced = (np.abs(across) > 2 * SLACK) & (beside < PLATE)
-    height = ((here - own - anchors.offset) * normal).sum(axis=1)
-    there = np.where(pierced[:, None], here - height[:, None] * normal, place[:n])
-    return there, distance[:n] > anchors.distance + SLACK
-
-
 def carry_along(part: BentPart, held: Mapping[int, np.ndarray]) -> BentPart:
     """The part with its targets shifted as its held vertices are, piece by piece.
 
-    A piece that can follow by stretching (the shift points along the way from the contact to its middle, as at the top of
-    a leg) does so: the shift fades out over FALLOFF.  One that would have to bend or shear is carried as a whole.
+    A piece that can follow by stretching (the shift points along the way from the contact to its middle, as at the top
+    of a leg) does so: the shift fades out over FALLOFF.  One that would have to bend or shear is carried as a whole.
     """
     if not held:
         return part

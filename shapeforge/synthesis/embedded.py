@@ -1,14 +1,15 @@
 """Embedded deformation of a part (Sumner 2007; §5): a graph of nodes, each with an affine map, moves the mesh.
 
-A node j at g_j has a linear map C_j and a new position u_j.  A point p becomes sum_j w_j(p) [C_j (p - g_j) + u_j], which is
-linear in the unknowns x (4 rows per node: the transposed C_j, then u_j; one column per coordinate).  The energy is
+A node j at g_j has a linear map C_j and a new position u_j. A point p becomes sum_j w_j(p) [C_j (p - g_j) + u_j],
+which is linear in the unknowns x (4 rows per node: the transposed C_j, then u_j; one column per coordinate). The
+energy is
 
     w_rot  sum_j  |A_j' A_j - 1|^2 (six distinct entries),  A_j = C_j B_j^-1
   + w_reg  sum_{j, k in N(j)}  |C_j (g_k - g_j) + u_j - u_k|^2
   + w_con  sum_c  s_c |deformed(p_c) - q_c|^2
 
-B_j is the affine pre-alignment of the part: only what differs from it has to be a rotation, so a uniform stretch is free.
-Everything but the first term is quadratic, shares one matrix between the three coordinates and never changes for a graph.
+B_j is the affine pre-alignment of the part: only what differs from it has to be a rotation: a uniform stretch is free.
+All but the first term is quadratic, shares one matrix between the three coordinates and never changes for a graph.
 Lengths are divided by the part's own diagonal inside the solvers: w_rot has no unit while the others scale with size^2.
 """
 
@@ -99,7 +100,7 @@ def pre_align(
 ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
     """Affine map (matrix (3, 3), offset (3,)) of corresponding points: q = matrix p + offset.
 
-    Ridge regression towards the best rotation, as strong as the residual noise asks for if the entries of the matrix are
+    Ridge regression towards the best rotation, as strong as the residual noise asks for if the matrix' entries are
     expected to differ from the rotation by ``spread``: exact where the points are, sober for thin or noisy parts.
     """
     if source.shape != target.shape or len(source) == 0:
@@ -125,7 +126,7 @@ def pre_align(
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One deformation to solve: a graph, constraints (rows (C, 4N), targets (C, 3), weights (C,)) and rest maps (N, 3, 3).
+    """One deformation to solve: a graph, constraints (rows (C, 4N), targets (C, 3), strength (C,)) and rest maps.
 
     ``targets`` and the unknowns are in normal coordinates; energies are in the units described in the module.
     """

@@ -70,8 +70,9 @@ def part_quality(
     triangles: Int[np.ndarray, "M 3"],
     handles: Float[np.ndarray, "C 3"],
 ) -> PartQuality:
-    """Quality of part ``part`` of a mesh with a label per triangle; ``vertices``, ``triangles``, ``handles`` are the part's."""
-    spacing = float(np.median(cKDTree(handles).query(handles, k=min(2, len(handles)))[0].reshape(len(handles), -1)[:, -1]))
+    """Quality of part ``part`` of a mesh with a label per triangle; the three last arguments are the part's."""
+    nearest = cKDTree(handles).query(handles, k=min(2, len(handles)))[0].reshape(len(handles), -1)[:, -1]
+    spacing = float(np.median(nearest))
     unexplained = float((cKDTree(handles).query(vertices)[0] > FAR + 3 * spacing).mean())
     misplaced = float(closest_points(as_mesh(vertices, triangles), handles)[2].mean())
     return PartQuality(int((label == part).sum()), raggedness(mesh, label, part), unexplained, misplaced)
@@ -80,8 +81,8 @@ def part_quality(
 def raggedness(mesh: Mesh, label: Int[np.ndarray, " N"], part: int, *, rounds: int = 12) -> float:
     """Length that the border between ``part`` and the rest loses when smoothed, per border edge; 0 without a border.
 
-    In the units of the mesh: a zigzag of edges e has about .4 e, longer teeth have more.  What a circle of as many edges
-    would lose is not counted, nor loops of under 12 edges.
+    In the units of the mesh: a zigzag of edges e has about .4 e, longer teeth have more.  What a circle of as many
+    edges would lose is not counted, nor loops of under 12 edges.
     """
     _, weld = np.unique(np.round(mesh.vertices / WELD).astype(np.int64), axis=0, return_inverse=True)
     weld = weld.reshape(-1)
@@ -158,7 +159,7 @@ def symmetry_error(points: Float[np.ndarray, "P 3"]) -> float:
 def inverted_triangles(
     rest: Float[np.ndarray, "V 3"], bent: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"]
 ) -> int:
-    """Folds that bending made: pairs of neighbours that faced alike at rest (within 60 degrees) and now face each other.
+    """Folds that bending made: pairs of neighbours that faced alike at rest (within 60 degrees) and now are opposed.
 
     ``rest`` should hold the vertices after the affine part of the deformation, which folds nothing.
     """

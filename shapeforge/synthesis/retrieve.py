@@ -17,7 +17,7 @@ SWITCH = 0.006
 
 @dataclass(frozen=True, eq=False)
 class Retrieved:
-    """``shape[l]`` is the training shape for part l (-1: absent), ``distance`` (L,) how far its points are from the draw's."""
+    """``shape[l]`` is the training shape for part l (-1: absent), ``distance`` (L,) that from the draw."""
 
     shape: Int[np.ndarray, " L"]
     distance: Float[np.ndarray, " L"]
@@ -26,11 +26,11 @@ class Retrieved:
 def part_distances(
     points: Float[np.ndarray, "K 3"], sources: Sources, part: int, *, measure: str = "blend"
 ) -> Float[np.ndarray, " T"]:
-    """Mean Euclidean distance (diagonals) between a part's points on every training shape and the draw's; inf where absent.
+    """Mean Euclidean distance (diagonals) of a part's points on every training shape from the draw's; inf where absent.
 
-    ``position`` is the paper's.  ``translation`` first moves the centres together, ``affine`` takes the best affine map,
-    since placing and stretching a part costs its looks little.  ``blend``, the default, is the mean of the first and
-    the last: of two parts that bend equally well the one in place and in proportion wins.
+    ``position`` is the paper's. ``translation`` first moves the centres together, ``affine`` takes the best affine
+    map, since placing and stretching a part costs its looks little. ``blend``, the default, is the mean of the first
+    and the last: of two parts that bend equally well the one in place and in proportion wins.
     """
     if measure == "blend":
         return 0.5 * (
@@ -99,7 +99,7 @@ def retrieve(
     points: Float[np.ndarray, "K 3"], exists: Bool[np.ndarray, " L"], sources: Sources, *, measure: str = "blend",
     switch: float = SWITCH, candidates: int = CANDIDATES,
 ) -> Retrieved:  # fmt: skip
-    """The training shape for every part of a draw: near points, usable faces, neighbours from one shape when that is close.
+    """The training shape for every part of a draw: near points, usable faces, neighbours from one shape if close.
 
     Each part keeps its ``candidates`` nearest usable training parts (ragged, tiny or unexplained ones are passed over);
     then the sum of distances plus ``switch`` per touching pair from different shapes is lowered part by part from

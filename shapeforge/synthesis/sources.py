@@ -18,7 +18,6 @@ from shapeforge.synthesis.embedded import DeformationGraph, build_graph
 from shapeforge.synthesis.measures import PartQuality, part_quality
 from shapeforge.synthesis.surfaces import (
     as_mesh,
-    barycentric,
     cut_out,
     farthest_points,
     subdivide_long_edges,
@@ -41,18 +40,14 @@ ANCHORS = 12
 
 @dataclass(frozen=True, eq=False)
 class Anchors:
-    """Where a part holds on to another one, as on their training shape (diagonals).
+    """Where a part holds on to another one.
 
-    ``vertices`` (A,) of this part lie at ``distance`` (A,) from the other's surface; the nearest place there is told by
-    ``corners`` (A, 3), vertices of the other part (-1: unknown), and their ``weights`` (A, 3); ``offset`` (A, 3) leads
-    from it to the anchor.
+    Its ``vertices`` (A,), and their ``distance`` (A,) from the other's surface on
+    their training shape (diagonals).
     """
 
     vertices: Int[np.ndarray, " A"]
     distance: Float[np.ndarray, " A"]
-    corners: Int[np.ndarray, "A 3"]
-    weights: Float[np.ndarray, "A 3"]
-    offset: Float[np.ndarray, "A 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +78,8 @@ class SourcePart:
 class Sources:
     """Training shapes as a store of parts.
 
-    ``positions`` (T, K, 3) are corresponding points in normal coordinates, NaN where absent; ``exists`` (T, L) tells which
-    parts a shape has; ``touching`` (L, L) is the share of the shapes having both parts on which the two touch.
+    ``positions`` (T, K, 3) are corresponding points in normal coordinates, NaN where absent; ``exists`` (T, L) tells
+    which parts a shape has; ``touching`` (L, L) is the share of the shapes having both parts on which the two touch.
     """
 
     names: tuple[str, ...]
@@ -105,7 +100,7 @@ class Sources:
         return len(self.part_names)
 
     def parts_of(self, index: int) -> dict[int, SourcePart]:
-        """The parts of training shape ``index`` that have faces and corresponding points; kept for the last ``keep`` shapes."""
+        """Usable parts of training shape ``index``; kept in memory for the last ``keep`` shapes."""
         with self._lock:
             if index in self._cache:
                 self._cache.move_to_end(index)
@@ -183,7 +178,7 @@ def read_parts(
     part: Int[np.ndarray, " K"],
     n_parts: int,
 ) -> dict[int, SourcePart]:
-    """Every part of a shape: its faces cut from the mesh by label, refined, with graph, handles, quality and anchors."""
+    """Every part of a shape: faces cut from the mesh by label and refined, graph, handles, quality, anchors."""
     mesh = shape.mesh
     if len(faces) != mesh.n_faces:
         raise ValueError(
@@ -217,7 +212,7 @@ def _find_anchors(parts: Mapping[int, SourcePart]) -> dict[int, dict[int, Anchor
         if not asking:
             continue
         queries = np.concatenate([parts[l].vertices for l in asking])
-        place, triangle, distance = closest_points(as_mesh(surface.vertices, surface.triangles), queries)
+        distance = closest_points(as_mesh(surface.vertices, surface.triangles), queries)[2]
         start = 0
         for l in asking:
             rows = start + np.arange(len(parts[l].vertices))
@@ -227,14 +222,5 @@ def _find_anchors(parts: Mapping[int, SourcePart]) -> dict[int, dict[int, Anchor
                 continue
             close = np.flatnonzero(distance[rows] <= max(CONTACT, near + 0.005))
             chosen = close[farthest_points(parts[l].vertices[close], ANCHORS)]
-            at = rows[chosen]
-            anchors[l][other] = _anchors(parts[l], surface, chosen, place[at], triangle[at], distance[at])
+            anchors[l][other] = Anchors(chosen, distance[rows[chosen]])
     return anchors
-
-
-def _anchors(
-    part: SourcePart, other: SourcePart, chosen: np.ndarray, place: np.ndarray, triangle: np.ndarray, distance: np.ndarray
-) -> Anchors:
-    corners = other.triangles[triangle]
-    weights = barycentric(other.vertices[corners], place)
-    return Anchors(chosen, distance, corners, weights, part.vertices[chosen] - place)

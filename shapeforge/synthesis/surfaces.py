@@ -23,12 +23,13 @@ def cut_out(vertices: Vertices, triangles: Triangles, chosen: Bool[np.ndarray, "
     """
     used, corners = np.unique(triangles[chosen], return_inverse=True)
     positions = vertices[used]
-    _, first, weld = np.unique(np.round(positions / WELD).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    cells = np.round(positions / WELD).astype(np.int64)
+    _, first, weld = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     return drop_bad(positions[first], weld.reshape(-1)[corners.reshape(-1, 3)])
 
 
 def drop_bad(vertices: Vertices, triangles: Triangles, area: float = 1e-12) -> tuple[np.ndarray, np.ndarray]:
-    """Without triangles that repeat another or whose area (squared diagonals) is at most ``area``, and unused vertices."""
+    """Without triangles that repeat another or have at most ``area`` (squared diagonals); no unused vertices."""
     keep = good_triangles(vertices, triangles, area)
     used, corners = np.unique(triangles[keep], return_inverse=True)
     return vertices[used], corners.reshape(-1, 3).astype(np.int32)
@@ -97,17 +98,6 @@ def as_mesh(vertices: Vertices, triangles: Triangles) -> Mesh:
     return Mesh(vertices, triangles, np.arange(len(triangles)), len(triangles))
 
 
-def barycentric(corners: Float[np.ndarray, "n 3 3"], points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Weights (n, 3) of points on their triangles ``corners`` (n, corner, axis); of the first corner where there is no area."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    normal = np.cross(b - a, c - a)
-    square = (normal**2).sum(axis=1)
-    safe = np.where(square > 1e-24, square, np.inf)
-    v = (np.cross(points - a, c - a) * normal).sum(axis=1) / safe
-    w = (np.cross(b - a, points - a) * normal).sum(axis=1) / safe
-    return np.stack([1 - v - w, v, w], axis=1)
-
-
 def vertex_components(n_vertices: int, triangles: Triangles) -> Int[np.ndarray, " V"]:
     """Number of the connected component of every vertex."""
     rows = np.concatenate([triangles[:, 0], triangles[:, 1]])
@@ -135,7 +125,7 @@ def touching_pieces(vertices: Vertices, triangles: Triangles, *, reach: float = 
 
 
 def farthest_points(points: Float[np.ndarray, "P 3"], count: int) -> Int[np.ndarray, " n"]:
-    """Indices of ``count`` (or all) points spread evenly: each the farthest from those before; the first the outermost."""
+    """Indices of ``count`` (or all) points spread evenly: each the farthest from those before, the outermost first."""
     count = min(count, len(points))
     if count == 0:
         return np.zeros(0, np.int64)

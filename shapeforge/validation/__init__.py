@@ -1,1 +1,1 @@
-"""How right and how plausible the results are (§6): correspondence, segmentation, classes, plausibility, and baselines."""
+"""How right and how plausible the results are (§6): correspondence, segmentation, classes, plausibility, baselines."""

@@ -37,7 +37,8 @@ def nearest_neighbour_accuracy(
     """
     if len(descriptors) != len(classes):
         raise ValueError(
-            f"classes: wanted one per descriptor ({len(descriptors)}), got {len(classes)}. Match them by shape name first."
+            f"classes: wanted one per descriptor ({len(descriptors)}), got {len(classes)}. "
+            "Match them by shape name first."
         )
     if per_class < 1:
         raise ValueError(f"per_class: wanted at least 1 training shape a class, got {per_class}.")

@@ -33,7 +33,7 @@ def validate_family(
     baseline_faces: Arrays | None = None,
     baseline_points: Arrays | None = None,
 ) -> dict:
-    """Segmentation, correspondence and classes, each where both the truth and our answer are given; keys are shape names.
+    """Segmentation, correspondence and classes, each where truth and answer are given; keys are shape names.
 
     ``predicted`` and ``baseline_faces`` index ``part_names``, ``truth`` indexes ``truth_part_names``; parts are matched
     by name.  ``landmarks``, ``points`` (K, 3; NaN absent) and the meshes share the files' coordinates.  Shapes in

@@ -13,7 +13,7 @@ from shapeforge.collection.shape import Mesh
 
 @dataclass(frozen=True)
 class SegmentationScore:
-    """Shares in 0..1 of one shape: right ``faces``, right ``area``, and ``part_iou``, by area and mean over its true parts."""
+    """Shares in 0..1 of one shape: right ``faces``, right ``area``, ``part_iou`` (by area, mean over true parts)."""
 
     faces: float
     area: float
@@ -30,8 +30,8 @@ def score_segmentation(
     """
     if len(predicted) != mesh.n_faces or len(truth) != mesh.n_faces:
         raise ValueError(
-            f"predicted, truth: wanted a label per face record ({mesh.n_faces}), got {len(predicted)} and {len(truth)}. "
-            "Face k is the k-th face record of the file; were labels counted per triangle?"
+            f"predicted, truth: wanted a label per face record ({mesh.n_faces}), got {len(predicted)} and "
+            f"{len(truth)}. Face k is the k-th face record of the file; were labels counted per triangle?"
         )
     told = truth >= 0
     if not told.any():

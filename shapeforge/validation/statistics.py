@@ -24,7 +24,7 @@ class Summary:
 def bootstrap_interval(
     values: Float[np.ndarray, " n"], *, level: float = 0.95, n_resamples: int = 1000, rng: np.random.Generator
 ) -> tuple[float, float]:
-    """Percentile interval of the mean at ``level``, resampling the values (shapes, not faces: those depend on each other)."""
+    """Percentile interval of the mean at ``level``, resampling the values (shapes: faces are not independent)."""
     if len(values) == 0:
         return float("nan"), float("nan")
     means = values[rng.integers(0, len(values), (n_resamples, len(values)))].mean(axis=1)

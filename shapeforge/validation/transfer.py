@@ -1,6 +1,6 @@
 """The plain baseline: labels and correspondences carried over from the nearest exemplar by an affine map alone.
 
-No model, no learning: what an hour of scripting gives.  Printed beside ours, so that a figure says what the model is for.
+No model, no learning: what an hour of scripting gives.  Printed beside ours, it says what the model is for.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from shapeforge.collection.surface import closest_points
 
 @dataclass(frozen=True, eq=False)
 class Transferred:
-    """What an exemplar says of a shape: a part index per face record (-1 where the exemplar is unlabelled), and the surface
-    points (K, 3, normal coordinates) that correspond to the family's reference points; ``residual`` in diagonals.
+    """What an exemplar says of a shape: a part index per face record (-1 where the exemplar is unlabelled), and the
+    surface points (K, 3, normal coordinates) that correspond to the family's reference points; ``residual`` in
+    diagonals.
     """
 
     exemplar: int
@@ -30,7 +31,7 @@ class Transferred:
 
 
 def reference_points(exemplars: Sequence[Shape]) -> tuple[Float[np.ndarray, "K 3"], ...]:
-    """The first exemplar's surface points and where they fall on every exemplar: affine map, then nearest surface point."""
+    """The first exemplar's surface points and where they fall on each exemplar: affine, then to the surface."""
     if not exemplars:
         raise ValueError("exemplars: wanted at least one shape, got none. Group the family or label a shape first.")
     first = exemplars[0]
@@ -74,7 +75,7 @@ def affine_transfer(
 def transfer_labels(
     shape: Shape, points: Float[np.ndarray, "n 3"], labels: Int[np.ndarray, " n"]
 ) -> Int[np.ndarray, " F"]:
-    """Label per face record from labelled ``points``: its surface points vote by their nearest one; without, its centre."""
+    """Label per face record from labelled ``points``: its surface points vote by their nearest one, else its centre."""
     mesh = shape.mesh
     tree = cKDTree(points)
     nearest = labels[tree.query(shape.points)[1]]

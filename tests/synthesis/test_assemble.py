@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from shapeforge.collection.surface import closest_points
 from shapeforge.synthesis.assemble import synthesize
+from shapeforge.synthesis.bending import start_part
+from shapeforge.synthesis.contacts import carry_along, choose_contacts, hold_contacts, join_islands
 from shapeforge.synthesis.surfaces import as_mesh
 
 BOTH = np.array([True, True])
@@ -72,3 +76,32 @@ def test_absent_parts_are_left_out_and_errors_say_what_was_wanted(tables, source
     assert len(nothing.triangles) == 0 and nothing.measures["n_triangles"] == 0
     with pytest.raises(ValueError, match="points, exists"):
         synthesize(points[:10], BOTH, sources)
+
+
+def test_a_leg_follows_by_stretching_and_a_plate_is_carried_whole(tables, sources) -> None:
+    part = start_part(sources.part_of(0, 1), tables[0].points)
+    top = part.source.vertices[:, 1] > part.source.vertices[:, 1].max() - 1e-6
+    lifted = {int(v): part.source.vertices[v] + [0, 0.05, 0] for v in np.flatnonzero(top)}
+    shift = (carry_along(part, lifted).targets - part.targets)[:, 1]
+    feet = part.source.handles[:, 1] < part.source.handles[:, 1].min() + 0.05
+    assert shift.max() > 0.04 and shift[feet].max() < 0.02
+    plate = start_part(sources.part_of(0, 0), tables[0].points)
+    middle = np.argsort(np.linalg.norm(plate.source.vertices - plate.source.vertices.mean(axis=0), axis=1))[:6]
+    lifted = {int(v): plate.source.vertices[v] + [0, 0.05, 0] for v in middle}
+    shift = (carry_along(plate, lifted).targets - plate.targets)[:, 1]
+    assert shift.min() > 0.045
+
+
+def test_a_part_that_touched_nothing_on_its_shape_is_joined(tables, sources) -> None:
+    bent = {l: start_part(sources.part_of(0, l), tables[0].points) for l in (0, 1)}
+    bent = {l: replace(part, anchors={}) for l, part in bent.items()}
+    assert choose_contacts(bent, sources.touching) == []
+    joined, contacts = join_islands(bent, [], sources.touching)
+    assert contacts == [(0, 1)]
+    assert not any(hold_contacts(joined, contacts).values())  # the parts touch: nothing has to move
+    x = joined[0].x.copy()
+    x[3::4] += [0, 0.05, 0]  # the rows of the nodes' positions
+    away = replace(joined[0], x=x)
+    moved = hold_contacts({0: away, 1: joined[1]}, contacts)
+    assert sum(len(h) for h in moved.values()) >= 4
+    assert join_islands(bent, [], np.zeros((2, 2)))[1] == []  # parts that never touch are left alone

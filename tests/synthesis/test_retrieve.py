@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shapeforge.collection.shape import Mesh
 from shapeforge.synthesis.measures import raggedness
 from shapeforge.synthesis.retrieve import mirror_partners, part_distances, retrieve
 from shapeforge.synthesis.sources import make_sources
+from shapeforge.synthesis.surfaces import as_mesh
 
 BOTH = np.array([True, True])
 
@@ -77,7 +77,7 @@ def test_ragged_borders_are_told_from_straight_ones() -> None:
     a, b, c, d = grid[:-1, :-1].ravel(), grid[1:, :-1].ravel(), grid[1:, 1:].ravel(), grid[:-1, 1:].ravel()
     triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
     u, v = np.meshgrid(np.linspace(0, 0.7, n + 1), np.linspace(0, 0.7, n + 1), indexing="ij")
-    mesh = Mesh(np.stack([u.ravel(), v.ravel(), 0 * u.ravel()], 1), triangles, np.arange(len(triangles)), len(triangles))
+    mesh = as_mesh(np.stack([u.ravel(), v.ravel(), 0 * u.ravel()], 1), triangles)
     centre = mesh.face_centres
     straight = (centre[:, 0] > 0.35).astype(np.int32)
     row = np.round(centre[:, 1] * n / 0.7 - 0.5).astype(int)
