@@ -93,9 +93,7 @@ def _neighbours(vertices: np.ndarray, triangles: np.ndarray, record: np.ndarray)
     return np.stack([np.concatenate(first), np.concatenate(second)], axis=1), middle
 
 
-def along(
-    surface: FaceSurface, face: int, position: Float[np.ndarray, " 3"], radius: float
-) -> Int[np.ndarray, " n"]:
+def along(surface: FaceSurface, face: int, position: Float[np.ndarray, " 3"], radius: float) -> Int[np.ndarray, " n"]:
     """Faces within ``radius`` diagonals of ``position`` on ``face``, measured along the surface; ``face`` always."""
     return walk_within(
         surface.start, surface.neighbour, surface.middle, surface.centres, face,
@@ -103,9 +101,7 @@ def along(
     )  # fmt: skip
 
 
-def through(
-    surface: FaceSurface, face: int, position: Float[np.ndarray, " 3"], radius: float
-) -> Int[np.ndarray, " n"]:
+def through(surface: FaceSurface, face: int, position: Float[np.ndarray, " 3"], radius: float) -> Int[np.ndarray, " n"]:
     """Faces whose centre is within ``radius`` diagonals of ``position`` in space, whatever lies between; and ``face``."""
     near = np.asarray(surface.tree.query_ball_point(position, radius), np.int64)
     return np.union1d(near, [face])

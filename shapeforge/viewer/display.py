@@ -117,9 +117,7 @@ class Display:
         )
 
 
-def face_colours(
-    labels: Int[np.ndarray, " F"], n_parts: int, hidden: Collection[int] = ()
-) -> UInt8[np.ndarray, "F 3"]:
+def face_colours(labels: Int[np.ndarray, " F"], n_parts: int, hidden: Collection[int] = ()) -> UInt8[np.ndarray, "F 3"]:
     """Colour of every face record (F, 3) from its part index (-1: unpainted); ``hidden`` parts are switched-off grey."""
     colours = label_colours(labels, n_parts)
     for part in hidden:
@@ -161,7 +159,7 @@ def grid_of(count: int, aspect: float = 1.4) -> tuple[int, int]:
         return 1, 1
     best = min(
         ((rows, -(-count // rows)) for rows in range(1, count + 1)),
-        key=lambda rc: (abs(np.log(aspect * rc[0] / rc[1])) + 0.15 * (rc[0] * rc[1] - count)),
+        key=lambda rc: abs(np.log(aspect * rc[0] / rc[1])) + 0.15 * (rc[0] * rc[1] - count),
     )
     return best
 

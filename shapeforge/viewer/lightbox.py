@@ -245,12 +245,12 @@ class Lightbox:
             )
         return Display(tuple(views), rows, columns)
 
-    def marks(
-        self, shape: Corresponded, picked: int | None, second: int | None, hover: int | None
-    ) -> tuple[Mark, ...]:
+    def marks(self, shape: Corresponded, picked: int | None, second: int | None, hover: int | None) -> tuple[Mark, ...]:
         """The picked points, the line between them and the point under the pointer, on one shape."""
         found: list[Mark] = []
-        places = [None if k is None or not shape.existence[k] else _place(shape.positions[k]) for k in (picked, second, hover)]
+        places = [
+            None if k is None or not shape.existence[k] else _place(shape.positions[k]) for k in (picked, second, hover)
+        ]
         if places[0] is not None and places[1] is not None:
             found.append(Mark("line", places[0], to=places[1]))
         if places[2] is not None:

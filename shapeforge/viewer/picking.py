@@ -42,9 +42,7 @@ def camera_axes(camera: vtkCamera) -> Float[np.ndarray, "3 3"]:
     return np.stack([right, np.cross(away, right), away])
 
 
-def project(
-    camera: vtkCamera, positions: Float[np.ndarray, "n 3"], rectangle: Rectangle
-) -> Float[np.ndarray, "n 2"]:
+def project(camera: vtkCamera, positions: Float[np.ndarray, "n 3"], rectangle: Rectangle) -> Float[np.ndarray, "n 2"]:
     """Window places (n, 2), y down, of positions in a cell ``rectangle`` = x, y, width, height (logical pixels)."""
     x, y, width, height = rectangle
     flat = (np.asarray(positions, float) - np.array(camera.GetFocalPoint())) @ camera_axes(camera)[:2].T

@@ -227,9 +227,7 @@ def contact_sheet(
     rows = math.ceil(len(pictures) / columns)
     line = 18 if captions else 0
     colours = tokens(theme)
-    sheet = Image.new(
-        "RGB", (columns * (width + gap) + gap, rows * (height + line + gap) + gap), rgb(colours["view"])
-    )
+    sheet = Image.new("RGB", (columns * (width + gap) + gap, rows * (height + line + gap) + gap), rgb(colours["view"]))
     draw = ImageDraw.Draw(sheet)
     font = ImageFont.load_default(12)
     for i, picture in enumerate(pictures):

@@ -23,11 +23,12 @@ from shapeforge.synthesis.assemble import synthesize as synthesize_mesh
 from shapeforge.viewer.display import Caption, Display, Mark, MeshLayer, PointLayer, View
 from shapeforge.viewer.palette import label_colours, part_colours
 from shapeforge.viewer.session import Session
+from shapeforge.viewer.slider_names import changes, choose_names, what_moves
 
 PERCENTILES = 3.29
 """Standard deviations between the 5th and the 95th percentile of a normal distribution."""
 FINER = 8
-AXES = ("width", "height", "depth")
+PULL_STEP, PULL_COST, FARTHEST = 0.25, 0.01, 3.0  # standard deviations, diagonals, standard deviations
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +88,7 @@ class Sculptor:
         self.part, self.part_names = self.observations.part, tuple(self.observations.part_names)
         self.shape_names = tuple(project.fit_names)
         self.positions = self.observations.positions()
-        self.names = [self._describe(i) for i in range(len(self.directions))]
-        self._number_twins()
+        self.names = self._names()
         self.recipes, self.done = [], -1
         self.start(Recipe("mean", self.mean_base(), origin="mean"))
         return True
@@ -142,7 +142,9 @@ class Sculptor:
 
     def keep(self, label: str) -> None:
         """Keep the shape in hand (sliders and parts as they are now) as a new item of the history."""
-        now = replace(self.recipe, label=label, sliders=dict(self.session.sliders), parts_on=dict(self.session.parts_on))
+        now = replace(
+            self.recipe, label=label, sliders=dict(self.session.sliders), parts_on=dict(self.session.parts_on)
+        )
         self.start(now)
 
     def go_to(self, index: int) -> None:
@@ -214,7 +216,9 @@ class Sculptor:
         best = int(mean.argmin())
         return self.shape_names[best], float(mean[best])
 
-    def place_on_map(self, embedding: Float[np.ndarray, "T 2"], points: Float[np.ndarray, "K 3"]) -> tuple[float, float]:
+    def place_on_map(
+        self, embedding: Float[np.ndarray, "T 2"], points: Float[np.ndarray, "K 3"]
+    ) -> tuple[float, float]:
         """Where the shape in hand lies on a map of the family: among the shapes it resembles most."""
         away = np.nan_to_num(np.linalg.norm(self.positions - points, axis=2), nan=0.15).mean(axis=1)
         weight = np.exp(-((away - away.min()) / max(0.25 * float(away.min()), 0.004)))
@@ -223,41 +227,63 @@ class Sculptor:
 
     # ---- words ---------------------------------------------------------------------------------------------------
 
-    def _describe(self, index: int) -> str:
-        """A name for a slider from what it measurably does: "Height of the back", "Width"."""
-        direction = self.directions[index]
+    def _names(self) -> list[str]:
+        """A name for every slider from what it does to the family's middle."""
         base = self.mean_base()
-        ends = [
-            drive(self.machine, base, {index: value}, np.ones(len(self.part_names), bool), directions=self.directions)
-            for value in (direction.low, direction.high)
-        ]
-        whole = np.ones(len(self.part), bool)
-        for l in range(len(self.part_names)):
-            whole &= (self.part != l) | bool(base.exists[0, l])
-        change = np.abs(_extent(ends[1][whole]) - _extent(ends[0][whole]))
-        best = ("", int(change.argmax()), 1.15 * float(change.max()))
-        for l, name in enumerate(self.part_names):
-            own = self.part == l
-            if own.any() and name in direction.parts:
-                grown = np.abs(_extent(ends[1][own]) - _extent(ends[0][own]))
-                if grown.max() > best[2]:
-                    best = (name, int(grown.argmax()), float(grown.max()))
-                moved = np.abs((ends[1][own] - ends[0][own]).mean(axis=0))
-                if moved.max() > best[2]:
-                    best = (f"{name} ", int(moved.argmax()), float(moved.max()))
-        if best[2] < 0.004:
-            return f"Shape of the {direction.parts[0]}" if direction.parts else direction.name
-        if best[0].endswith(" "):
-            return f"Place of the {best[0].strip()}, " + ("left – right", "low – high", "back – front")[best[1]]
-        name = AXES[best[1]].capitalize()
-        return f"{name} of the {best[0]}" if best[0] else name
+        exists = np.array(base.exists[0], bool)
+        found, every = [], np.ones(len(self.part_names), bool)
+        for index, direction in enumerate(self.directions):
+            ends = [
+                drive(self.machine, base, {index: value}, every, directions=self.directions)
+                for value in (direction.low, direction.high)
+            ]
+            found.append(changes(np.asarray(ends[0]), np.asarray(ends[1]), self.part, self.part_names, exists))
+        return choose_names(found, [direction.name for direction in self.directions])
 
-    def _number_twins(self) -> None:
-        seen: dict[str, int] = {}
-        for i, name in enumerate(self.names):
-            seen[name] = seen.get(name, 0) + 1
-            if seen[name] > 1:
-                self.names[i] = f"{name} ({seen[name]})"
+    def caption(self, index: int) -> str:
+        """What a slider moves on the shape in hand."""
+        return what_moves(self.directions[index].moves, self.part, self.part_names, self.exists())
+
+    # ---- pulling at the shape ------------------------------------------------------------------------------------
+
+    def handles(self, points: Float[np.ndarray, "K 3"], count: int = 9) -> Int[np.ndarray, " h"]:
+        """Points to pull at: far apart from each other, the outermost first."""
+        there = np.flatnonzero(np.isfinite(points).all(axis=1))
+        if not len(there):
+            return there
+        own = points[there]
+        chosen = [int(np.linalg.norm(own - own.mean(axis=0), axis=1).argmax())]
+        away = np.linalg.norm(own - own[chosen[0]], axis=1)
+        while len(chosen) < min(count, len(there)):
+            chosen.append(int(away.argmax()))
+            away = np.minimum(away, np.linalg.norm(own - own[chosen[-1]], axis=1))
+        return there[chosen]
+
+    def pull(
+        self, point: int, locked: frozenset[int] = frozenset()
+    ) -> Callable[[Float[np.ndarray, " 3"]], dict[int, float]]:
+        """Take hold of template point ``point``: the result maps a wanted displacement (diagonals) to slider values.
+
+        The most likely change that moves the point there: least squares with one standard deviation of any slider
+        costing as much as PULL_COST diagonals of miss, about the present state.
+        """
+        start = dict(self.session.sliders)
+        free = [i for i in range(self.coarse) if i not in locked]
+        before = self.points()[point]
+        jacobian = np.zeros((3, len(free)))
+        for column, index in enumerate(free):
+            settings = {i: v * self.unit(i) for i, v in start.items()}
+            settings[index] = settings.get(index, 0.0) + PULL_STEP * self.unit(index)
+            moved = drive(self.machine, self.recipe.base, settings, self.exists(), directions=self.directions)[point]
+            jacobian[:, column] = (moved - before) / PULL_STEP
+        matrix = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + PULL_COST**2 * np.eye(3))
+
+        def wanted(displacement: np.ndarray) -> dict[int, float]:
+            step = matrix @ displacement
+            values = {i: start.get(i, 0.0) + float(d) for i, d in zip(free, step, strict=True)}
+            return {**start, **{i: float(np.clip(v, -FARTHEST, FARTHEST)) for i, v in values.items()}}
+
+        return wanted
 
     # ---- what is shown -------------------------------------------------------------------------------------------
 
@@ -288,6 +314,8 @@ class Sculptor:
             captions.append(Caption("bottom right", ((measure_words(made.shape.measures), "plain"),)))
         if busy:
             captions.append(Caption("bottom left", (("making the mesh…", "faint"),)))
+        else:
+            captions.append(Caption("bottom left", (("Drag a handle on the shape, the rest follows", "faint"),)))
         return Display((View(layers, marks, tuple(captions)),))
 
     @staticmethod
@@ -296,11 +324,6 @@ class Sculptor:
             return ()
         kind = "preview, " if made.preview else ""
         return ((f"{kind}{len(made.shape.triangles):,} faces".replace(",", "\u202f"), "plain"),)
-
-
-def _extent(points: np.ndarray) -> np.ndarray:
-    low, high = np.nanpercentile(points, (2, 98), axis=0)
-    return high - low
 
 
 def measure_words(measures: Mapping[str, Any]) -> str:

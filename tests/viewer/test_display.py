@@ -45,7 +45,9 @@ def test_borders_of_records_leave_the_diagonals_out():
     assert frozenset({(1.0, 0.0, 0.0), (1.0, 1.0, 0.0)}) in found, "the edge between the quads"
 
 
-@pytest.mark.parametrize(("count", "aspect", "cells"), [(1, 1.4, (1, 1)), (12, 1.4, (3, 4)), (4, 1.0, (2, 2)), (2, 2.0, (1, 2))])
+@pytest.mark.parametrize(
+    ("count", "aspect", "cells"), [(1, 1.4, (1, 1)), (12, 1.4, (3, 4)), (4, 1.0, (2, 2)), (2, 2.0, (1, 2))]
+)
 def test_grids_hold_all_and_suit_the_space(count, aspect, cells):
     assert grid_of(count, aspect) == cells
     for n in range(1, 30):

@@ -62,7 +62,9 @@ def _move(target, place: QPoint, button, modifiers) -> None:
     from PySide6.QtGui import QMouseEvent
 
     at = QPointF(place)
-    event = QMouseEvent(QEvent.Type.MouseMove, at, QPointF(target.mapToGlobal(place)), Qt.MouseButton.NoButton, button, modifiers)
+    event = QMouseEvent(
+        QEvent.Type.MouseMove, at, QPointF(target.mapToGlobal(place)), Qt.MouseButton.NoButton, button, modifiers
+    )
     QApplication.sendEvent(target, event)
 
 
@@ -129,7 +131,12 @@ def test_control_erases_and_the_brush_keeps_to_its_size(painting):
 
 
 def test_keys_take_tools_and_parts(painting, qtbot):
-    for key, tool in ((Qt.Key.Key_F, "fill"), (Qt.Key.Key_E, "eraser"), (Qt.Key.Key_P, "piece"), (Qt.Key.Key_B, "brush")):
+    for key, tool in (
+        (Qt.Key.Key_F, "fill"),
+        (Qt.Key.Key_E, "eraser"),
+        (Qt.Key.Key_P, "piece"),
+        (Qt.Key.Key_B, "brush"),
+    ):
         painting.key(key)
         assert painting.session.tool == tool
     painting.key(Qt.Key.Key_3)

@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 
 from shapeforge.collection.shape import Mesh
 from shapeforge.viewer.brushes import (
-    along, complete, face_surface, mirrored, shares, through, unpainted_pieces, up_to_creases, whole_piece,
+    along,
+    complete,
+    face_surface,
+    mirrored,
+    shares,
+    through,
+    unpainted_pieces,
+    up_to_creases,
+    whole_piece,
 )  # fmt: skip
 from shapeforge.viewer.painting import PaintState, paint_state
 

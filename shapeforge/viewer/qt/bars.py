@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from PySide6.QtCore import QEvent, QPointF, QRectF, Qt, Signal
 from PySide6.QtGui import QColor, QKeyEvent, QLinearGradient, QMouseEvent, QPainter, QPen
@@ -22,7 +20,7 @@ class Histogram(QWidget):
         self._here: float | None = None
         self.setFixedHeight(height)
 
-    def set_values(self, values: Sequence[float], here: float | None = None) -> None:
+    def set_values(self, values: np.ndarray, here: float | None = None) -> None:
         """Show the distribution of ``values``; ``here`` is the value to mark."""
         self._values = np.asarray(values, float)
         self._here = here
@@ -49,11 +47,15 @@ class Histogram(QWidget):
             high_bar = (bottom - top) * n / max(counts.max(), 1)
             place = QRectF(left + i * bar + 1, bottom - high_bar, max(bar - 2, 1), high_bar)
             painter.setPen(Qt.PenStyle.NoPen)
-            painter.setBrush(QColor(tokens["accent"] if i == marked else mix(tokens["accent"], tokens["separator_strong"], 0.22)))
+            painter.setBrush(
+                QColor(tokens["accent"] if i == marked else mix(tokens["accent"], tokens["separator_strong"], 0.22))
+            )
             painter.drawRoundedRect(place, 1.5, 1.5)
             if n and (i == marked or n == counts.max() and marked not in np.flatnonzero(counts == n)):
                 painter.setPen(QColor(tokens["text_2"]))
-                painter.drawText(QRectF(place.center().x() - 20, place.top() - 15, 40, 14), Qt.AlignmentFlag.AlignCenter, str(n))
+                painter.drawText(
+                    QRectF(place.center().x() - 20, place.top() - 15, 40, 14), Qt.AlignmentFlag.AlignCenter, str(n)
+                )
         painter.setPen(QPen(QColor(tokens["separator_strong"]), 1))
         painter.drawLine(QPointF(left, bottom + 0.5), QPointF(left + width, bottom + 0.5))
         painter.setPen(QColor(tokens["text_2"]))

@@ -78,15 +78,41 @@ class CorrespondencePlace:
     # ---- building ------------------------------------------------------------------------------------------------
 
     def _add_actions(self) -> None:
-        def add(name: str, text: str, run: Callable[[], None], key: str, tooltip: str, icon: str, enabled: Any = None) -> None:
+        def add(
+            name: str, text: str, run: Callable[[], None], key: str, tooltip: str, icon: str, enabled: Any = None
+        ) -> None:
             verdict = enabled or (lambda _session: YES)
             self.actions.add(Action(name, text, lambda _s: run(), verdict, key, tooltip, icon, "correspondence"))
 
         add("clear_points", "Clear", self._clear, "Escape", "Forget the picked points", "close", self._has_point)
-        add("keep_landmark", "Keep as landmark", self._keep, "K", "Keep the picked point under a name", "pin", self._has_point)
+        add(
+            "keep_landmark",
+            "Keep as landmark",
+            self._keep,
+            "K",
+            "Keep the picked point under a name",
+            "pin",
+            self._has_point,
+        )
         add("show_worst", "Show the worst", self._show_worst, "W", "Sorts by confidence, low first", "sort")
-        add("correct", "Correct…", self._correct, "", "Paint a correction on the selected shape", "brush", self._one_shape)
-        add("overlay", "Overlay two shapes", self._toggle_overlay, "O", "Look at two shapes in one view", "overlay", self._two)
+        add(
+            "correct",
+            "Correct…",
+            self._correct,
+            "",
+            "Paint a correction on the selected shape",
+            "brush",
+            self._one_shape,
+        )
+        add(
+            "overlay",
+            "Overlay two shapes",
+            self._toggle_overlay,
+            "O",
+            "Look at two shapes in one view",
+            "overlay",
+            self._two,
+        )
         add("export_points", "Export CSV…", self._export, "", "The landmarks on every shape, in its file's coordinates",
             "export", self._has_landmarks)  # fmt: skip
         add("home_lightbox", "Look from the front", lambda: self.view.fit(), "Home", "The usual view", "home")
@@ -157,8 +183,11 @@ class CorrespondencePlace:
         foot.setObjectName("bar")
         foot.setLayout(
             column(
-                label("Compare", "heading"), action_button(self.actions, "overlay", self.binding), self.overlay_why,
-                spacing=8, margins=(16, 12, 16, 16),
+                label("Compare", "heading"),
+                action_button(self.actions, "overlay", self.binding),
+                self.overlay_why,
+                spacing=8,
+                margins=(16, 12, 16, 16),
             )  # fmt: skip
         )
         inside = column(scrolled(picked, distance, sure), foot, spacing=0)
@@ -229,7 +258,9 @@ class CorrespondencePlace:
             index = {name: i for i, name in enumerate(groups.names)} if len(groups.names) == len(groups.group) else {}
             names.sort(key=lambda name: (int(groups.group[index[name]]) if name in index else 0, name))
         self.names = tuple(names[: self.count])
-        self.showing.set_options(tuple((n, f"{min(int(n), len(names))} of {len(names)}") for n in COUNTS), str(self.count))
+        self.showing.set_options(
+            tuple((n, f"{min(int(n), len(names))} of {len(names)}") for n in COUNTS), str(self.count)
+        )
 
     def _show(self, *, fit: bool = False) -> None:
         if not self._entered or self.session.project is None or not self.box.names:
@@ -252,7 +283,13 @@ class CorrespondencePlace:
         box, picked, second = self.box, self.session.picked, self.second
         of = len(box.names)
         for point, name, on in ((picked, self.first_name, self.first_on), (second, self.second_name, self.second_on)):
-            name.setText("Click a point on a shape" if point is None and point is picked else "" if point is None else box.describe(point))
+            name.setText(
+                "Click a point on a shape"
+                if point is None and point is picked
+                else ""
+                if point is None
+                else box.describe(point)
+            )
             on.setText("" if point is None else f"on {len(box.present_on(point))}")
         self.first_swatch.set_colour(tokens(self.session.theme)["accent"])
         self.second_swatch.setVisible(second is not None)
@@ -271,7 +308,9 @@ class CorrespondencePlace:
         self.low_text.setText("Left and right may be mixed up, or the part differs. Paint a correction and fit again." if low
                               else f"The chance that the point lies within 5% of where it is shown, on {of} shapes.")  # fmt: skip
         chosen = len(self.session.selected)
-        self.overlay_why.setText("" if chosen == 2 else f"Select exactly two shapes first (Ctrl-click), {chosen or 'none'} selected.")
+        self.overlay_why.setText(
+            "" if chosen == 2 else f"Select exactly two shapes first (Ctrl-click), {chosen or 'none'} selected."
+        )
         self._show_cards()
         self.session.edit_count += 1  # what can be done depends on what is picked
 
@@ -392,7 +431,9 @@ class CorrespondencePlace:
         try:
             kept = json.loads(self._file().read_text("utf-8"))
             if kept["fit"] == self.session.project.fit_id:
-                return [m for m in kept["landmarks"] if 0 <= m["point"] < self.box.n_points and isinstance(m["name"], str)]
+                return [
+                    m for m in kept["landmarks"] if 0 <= m["point"] < self.box.n_points and isinstance(m["name"], str)
+                ]
         except (OSError, ValueError, KeyError, TypeError):
             pass  # none kept, or not ours to read
         return []
@@ -424,15 +465,21 @@ class CorrespondencePlace:
             )  # fmt: skip
             remove = button(icon="close", kind="icon", tooltip="Forget this landmark")
             remove.clicked.connect(lambda _=False, mark=mark: self._forget(mark))
-            card = Clickable(row(icon_label("pin", "text_2"), words, remove, margins=(10, 0, 4, 0)), "card", tooltip="Show it")
+            card = Clickable(
+                row(icon_label("pin", "text_2"), words, remove, margins=(10, 0, 4, 0)), "card", tooltip="Show it"
+            )
             card.clicked.connect(lambda mark=mark: self._recall(mark))
             card.set_current(mark["point"] == self.session.picked)
             card.setMaximumWidth(260)
             self.cards.addWidget(card, 1)
         if not self.landmarks:
-            self.cards.addWidget(label("Pick a point and keep it: it is placed once and carried to every shape.", "off"))
+            self.cards.addWidget(
+                label("Pick a point and keep it: it is placed once and carried to every shape.", "off")
+            )
         self.cards.addStretch(1)
-        self.strip_count.setText(f"{len(self.landmarks)} placed once, carried to {len(self.box.names)} shapes" if self.landmarks else "")
+        self.strip_count.setText(
+            f"{len(self.landmarks)} placed once, carried to {len(self.box.names)} shapes" if self.landmarks else ""
+        )
         refresh(self.strip, self.session.theme)
 
     def _recall(self, mark: dict[str, Any]) -> None:

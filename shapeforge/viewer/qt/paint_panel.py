@@ -8,12 +8,14 @@ import numpy as np
 from PySide6.QtCore import QPointF, Qt, QTimer
 from PySide6.QtWidgets import QApplication, QFrame, QMessageBox, QSlider, QWidget
 
+from shapeforge.collection.rays import first_hits
+from shapeforge.collection.shape import Mesh
 from shapeforge.viewer import brushes
 from shapeforge.viewer.actions import YES, Action, Actions, next_to_paint, unpainted_exemplars
 from shapeforge.viewer.display import Display, Mark
 from shapeforge.viewer.painter import BRUSH_LIMITS, TOOL_NAMES, Painter
 from shapeforge.viewer.palette import part_colours
-from shapeforge.viewer.picking import Pick, project
+from shapeforge.viewer.picking import Pick, camera_axes, project
 from shapeforge.viewer.pictures import mesh_view, take_picture
 from shapeforge.viewer.qt.bind import Binding, action_button, keep_enabled
 from shapeforge.viewer.qt.icons import refresh
@@ -47,6 +49,7 @@ from shapeforge.viewer.session import Session
 SAVE_MS = 700
 COUNT_MS = 120
 DABS_PER_MOVE = 24
+SEEN = 2e-3  # diagonals: a face hit this near to its centre is the one that is seen
 SIZE_STEPS = 200
 
 
@@ -77,16 +80,22 @@ class PaintPlace:
         self.thumbnails.arrived.connect(self._show_pictures)
         self.binding.on(("shape",), self._open, now=False)
         self.binding.on(("tool", "mirror", "part", "theme"), self._show_tool, now=False)
-        self.binding.on(("part", "part_revision") if hasattr(session, "part_revision") else ("part",), self._parts_chosen, now=False)
+        self.binding.on(
+            ("part", "part_revision") if hasattr(session, "part_revision") else ("part",), self._parts_chosen, now=False
+        )
         self.binding.on(("brush_size", "reach"), self._show_brush, now=False)
         self.binding.on(("data", "running"), self._show_next, now=False)
 
     # ---- building ------------------------------------------------------------------------------------------------
 
     def _add_actions(self) -> None:
-        def add(name: str, text: str, run: Callable[[], None], key: str, tooltip: str = "", icon: str = "", enabled=None) -> None:
+        def add(
+            name: str, text: str, run: Callable[[], None], key: str, tooltip: str = "", icon: str = "", enabled=None
+        ) -> None:
             self.actions.add(
-                Action(name, text, lambda _session: run(), enabled or (lambda _session: YES), key, tooltip, icon, "paint")
+                Action(
+                    name, text, lambda _session: run(), enabled or (lambda _session: YES), key, tooltip, icon, "paint"
+                )
             )
 
         for tool, key in TOOL_KEYS.items():
@@ -102,7 +111,15 @@ class PaintPlace:
             "Fill in what is unpainted from what is painted", "scribble", self._can_complete)  # fmt: skip
         add("home_view", "Look from the front", lambda: self.view.fit(), "Home", "The usual view", "home")
         self.actions.add(
-            Action("fit_family", "Fit the family", self._fit, self._can_fit, "", "Explain every shape with these parts", "fit")
+            Action(
+                "fit_family",
+                "Fit the family",
+                self._fit,
+                self._can_fit,
+                "",
+                "Explain every shape with these parts",
+                "fit",
+            )
         )
 
     def _build(self) -> None:
@@ -121,7 +138,11 @@ class PaintPlace:
         self.blank = label("", "strong")
         self.blank_words = label("", "text2")
         self.next_piece = action_button(self.actions, "next_piece", self.binding)
-        bar = framed(row(self.shares, self.blank, self.blank_words, self.next_piece, spacing=8, margins=(16, 6, 12, 6)), "bar", height=44)
+        bar = framed(
+            row(self.shares, self.blank, self.blank_words, self.next_piece, spacing=8, margins=(16, 6, 12, 6)),
+            "bar",
+            height=44,
+        )
         bar.layout().setSpacing(6)
         bar.layout().setStretch(0, 1)
         canvas = column(self.view, bar, spacing=0)
@@ -140,13 +161,26 @@ class PaintPlace:
         self.tool_icon = icon_label("brush", "accent_text", 18)
         self.tool_name = label("Brush", "heading")
         self.tool_hint = label("", "text2")
-        self.isolate = button("Isolate", icon="eye", checkable=True, tooltip="Show only the current part and what is unpainted  (H)")
+        self.isolate = button(
+            "Isolate", icon="eye", checkable=True, tooltip="Show only the current part and what is unpainted  (H)"
+        )
         self.isolate.clicked.connect(lambda: self.actions.run("isolate"))
         self.solid = Segments((("solid", "Solid", ""), ("edges", "Edges", "")), "solid")
         self.solid.chosen.connect(self._show_edges)
         home = action_button(self.actions, "home_view", self.binding, text="", kind="tool")
         self.toolbar_widget = framed(
-            row(self.tool_icon, 4, self.tool_name, self.tool_hint, None, self.isolate, self.solid, home, spacing=8, margins=(22, 0, 16, 0))
+            row(
+                self.tool_icon,
+                4,
+                self.tool_name,
+                self.tool_hint,
+                None,
+                self.isolate,
+                self.solid,
+                home,
+                spacing=8,
+                margins=(22, 0, 16, 0),
+            )
         )
 
     def _build_inspector(self) -> None:
@@ -209,7 +243,9 @@ class PaintPlace:
         why.setStretch(1, 1)
         foot = QFrame()
         foot.setObjectName("bar")
-        foot.setLayout(column(label("Next", "heading"), self.fit, why, self.go_exemplar, spacing=8, margins=(16, 12, 16, 16)))
+        foot.setLayout(
+            column(label("Next", "heading"), self.fit, why, self.go_exemplar, spacing=8, margins=(16, 12, 16, 16))
+        )
         inside = column(scrolled(parts, brush, scribble), foot, spacing=0)
         inside.setStretch(0, 1)
         self.inspector = framed(inside)
@@ -321,7 +357,9 @@ class PaintPlace:
             self.view.overlay.update()
             return
         if self.session.tool == "scribble" and len(np.unique(self.painter.state.labels)) > 2:
-            self.actions.run("complete_scribble") if "complete_scribble" in self.actions else self._complete(by_hand_only=True)
+            self.actions.run("complete_scribble") if "complete_scribble" in self.actions else self._complete(
+                by_hand_only=True
+            )
         self._ended()
 
     def _encircled(self, lasso: np.ndarray) -> np.ndarray:
@@ -333,12 +371,12 @@ class PaintPlace:
         inside = np.flatnonzero(inside_polygon(places, lasso)) if len(lasso) > 2 else np.zeros(0, int)
         if self.session.reach == "through":
             return faces[inside]
-        seen = []
-        for i in inside:
-            pick = self.view.pick(float(places[i, 0]), float(places[i, 1]))
-            if pick is not None and painter.face_of(pick.triangle) == faces[i]:
-                seen.append(faces[i])
-        return np.array(seen, np.int64)
+        away = camera_axes(self.view.scene.camera)[2]
+        layer = self.view.shown.views[0].layers[0]
+        shown = Mesh(layer.vertices, layer.triangles, layer.record, painter.mesh.n_faces)
+        start = painter.surface.centres[faces[inside]] + 4 * away
+        hits = first_hits(shown, start, np.broadcast_to(-away, start.shape).copy())
+        return faces[inside[np.abs(hits - 4) < SEEN]]
 
     def _hover(self, pick: Pick | None) -> None:
         if self._entered and self.painter.name is not None:
@@ -367,7 +405,9 @@ class PaintPlace:
 
     def _changed(self) -> None:
         """Labels changed: show them, count and save a little later."""
-        self.view.display(Display((self.painter.view(self.view.shown.views[0].marks if self.view.shown.views else ()),)))
+        self.view.display(
+            Display((self.painter.view(self.view.shown.views[0].marks if self.view.shown.views else ()),))
+        )
         self._count_timer.start()
         if not QApplication.mouseButtons() & Qt.MouseButton.LeftButton:
             self._show_history()
@@ -425,7 +465,9 @@ class PaintPlace:
     def _can_mirror(self, session: Session) -> tuple[bool, str]:
         if self.painter.name is None:
             return False, "Choose a shape first."
-        return YES if self.painter.mirror_plane is not None else (False, f"{self.painter.name} is not symmetric enough.")
+        return (
+            YES if self.painter.mirror_plane is not None else (False, f"{self.painter.name} is not symmetric enough.")
+        )
 
     def _toggle_mirror(self) -> None:
         self.session.mirror = not self.session.mirror
@@ -638,7 +680,9 @@ class PaintPlace:
         def take() -> np.ndarray:
             from shapeforge.viewer.palette import label_colours
 
-            return take_picture(mesh_view(mesh, label_colours(labels, n_parts), theme), (128, 104), theme, transparent=True)
+            return take_picture(
+                mesh_view(mesh, label_colours(labels, n_parts), theme), (128, 104), theme, transparent=True
+            )
 
         return self.thumbnails.pixmap(("history", self.painter.name, labels.tobytes(), theme), take)
 

@@ -257,7 +257,9 @@ class HistoryStrip(QFrame):
         self.setLayout(outer)
         self.cards: dict[int, HistoryCard] = {}
 
-    def show_states(self, states: Sequence[tuple[str, str]], present: int, picture: Callable[[int], QPixmap | None]) -> None:
+    def show_states(
+        self, states: Sequence[tuple[str, str]], present: int, picture: Callable[[int], QPixmap | None]
+    ) -> None:
         """``states`` are (word, icon) of state 0, 1, …; ``present`` is the one in effect."""
         room = max((self.width() - 130) // (HistoryCard.SIZE[0] + 8), 3)
         last = min(len(states), max(present + 2, room))

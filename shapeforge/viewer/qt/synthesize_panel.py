@@ -11,8 +11,9 @@ from PySide6.QtGui import QPixmap
 from PySide6.QtWidgets import QFrame, QGridLayout, QMenu, QWidget
 
 from shapeforge.viewer.actions import YES, Action, Actions
-from shapeforge.viewer.display import View
+from shapeforge.viewer.display import Mark, View
 from shapeforge.viewer.palette import part_colours
+from shapeforge.viewer.picking import camera_axes
 from shapeforge.viewer.pictures import take_picture
 from shapeforge.viewer.qt.bind import Binding, action_button
 from shapeforge.viewer.qt.icons import refresh
@@ -37,6 +38,7 @@ from shapeforge.viewer.sculptor import Made, MeshWorker, Recipe, Sculptor, expor
 from shapeforge.viewer.session import Session
 
 PREVIEW_MS = 120  # a slider that rests this long gets a preview mesh; one that is let go the final one
+GRAB_PIXELS = 11
 
 
 class _Mail(QObject):
@@ -65,6 +67,8 @@ class SynthesizePlace:
         self._locked: set[int] = set()
         self._between: tuple[str, str] | None = None
         self._share = 0.5
+        self._held: tuple[int, np.ndarray, Callable[[np.ndarray], dict[int, float]]] | None = None
+        self._handles = np.zeros(0, int)
         self._old_history = session.history
         self.rows: list[DirectionRow] = []
         self._add_actions()
@@ -79,14 +83,18 @@ class SynthesizePlace:
     # ---- building ------------------------------------------------------------------------------------------------
 
     def _add_actions(self) -> None:
-        def add(name: str, text: str, run: Callable[[], None], key: str, tooltip: str, icon: str, enabled: Any = None) -> None:
+        def add(
+            name: str, text: str, run: Callable[[], None], key: str, tooltip: str, icon: str, enabled: Any = None
+        ) -> None:
             verdict = enabled or self._ready
             self.actions.add(Action(name, text, lambda _s: run(), verdict, key, tooltip, icon, "synthesize"))
 
         add("mean_shape", "Mean", self._mean, "", "The middle of the family", "fit")
         add("random_shape", "Random", self._random, "R", "A shape drawn from what was learned", "dice")
         add("from_shape", "From shape…", self._choose_shape, "", "Start from a shape of the family", "cube")
-        add("between", "Between A and B", self._toggle_between, "B", "A shape on the way from one to another", "between")
+        add(
+            "between", "Between A and B", self._toggle_between, "B", "A shape on the way from one to another", "between"
+        )
         add("reset_sliders", "Reset", self._reset, "", "All directions that are not locked back to the middle", "")
         add("export_mesh", "Export mesh…", self._export, "Ctrl+E", "glb, ply, obj or stl, with part names and a recipe",
             "export", self._can_export)  # fmt: skip
@@ -94,6 +102,9 @@ class SynthesizePlace:
 
     def _build(self) -> None:
         self.view = self._view_factory()
+        self.view.grab = self._grab
+        self.view.pulled.connect(self._pull)
+        self.view.released.connect(self._let_handle_go)
         self.between = BetweenBar()
         self.between.setVisible(False)
         self.between.moved.connect(self._between_moved)
@@ -113,7 +124,10 @@ class SynthesizePlace:
             row(
                 action_button(self.actions, "mean_shape", self.binding),
                 action_button(self.actions, "random_shape", self.binding),
-                self.from_button, self.between_button, None, self.shown_as,
+                self.from_button,
+                self.between_button,
+                None,
+                self.shown_as,
                 action_button(self.actions, "home_synthesize", self.binding, text="", kind="tool"),
                 margins=(16, 0, 16, 0),
             )  # fmt: skip
@@ -137,7 +151,14 @@ class SynthesizePlace:
         self.finer_rows.setVisible(False)
         directions = QWidget()
         directions.setLayout(
-            column(head, self.direction_rows, row(self.finer, None, margins=(16, 4, 16, 12)), self.finer_rows, separator(), spacing=0)
+            column(
+                head,
+                self.direction_rows,
+                row(self.finer, None, margins=(16, 4, 16, 12)),
+                self.finer_rows,
+                separator(),
+                spacing=0,
+            )
         )
         self.part_grid = QGridLayout()
         self.part_grid.setHorizontalSpacing(16)
@@ -151,7 +172,12 @@ class SynthesizePlace:
         foot = QFrame()
         foot.setObjectName("bar")
         foot.setLayout(
-            column(self.export, label("glb, part names and a recipe to remake it", "caption"), spacing=8, margins=(16, 12, 16, 14))
+            column(
+                self.export,
+                label("glb, part names and a recipe to remake it", "caption"),
+                spacing=8,
+                margins=(16, 12, 16, 14),
+            )
         )
         inside = column(scrolled(family, directions, parts), foot, spacing=0)
         inside.setStretch(0, 1)
@@ -214,7 +240,7 @@ class SynthesizePlace:
         for index, direction in enumerate(sculptor.directions):
             unit = sculptor.unit(index)
             one = DirectionRow(
-                sculptor.names[index], direction.caption, direction.low / unit, direction.high / unit,
+                sculptor.names[index], sculptor.caption(index), direction.low / unit, direction.high / unit,
                 direction.histogram, direction.edges / unit,
             )  # fmt: skip
             one.moved.connect(lambda value, index=index: self._slid(index, value))
@@ -259,6 +285,7 @@ class SynthesizePlace:
         exists = self.sculptor.exists()
         for index, one in enumerate(self.rows):
             one.set_value(self.session.sliders.get(index, 0.0))
+            one.caption.setText(self.sculptor.caption(index))
         for part, switch in self.switches.items():
             switch.setChecked(bool(exists[part]))
         groups = self.session.project.groups
@@ -276,6 +303,8 @@ class SynthesizePlace:
 
     @property
     def _dragging(self) -> bool:
+        if self._held is not None:
+            return True
         return any(one.slider._drags for one in self.rows) or self.between.slider.isSliderDown()
 
     def _ask(self, *, preview: bool = False) -> None:
@@ -322,7 +351,9 @@ class SynthesizePlace:
 
     def _start(self, recipe: Recipe) -> None:
         kept = {i: v for i, v in self.session.sliders.items() if i in self._locked}
-        self.sculptor.start(Recipe(recipe.label, recipe.base, {**recipe.sliders, **kept}, recipe.parts_on, recipe.origin))
+        self.sculptor.start(
+            Recipe(recipe.label, recipe.base, {**recipe.sliders, **kept}, recipe.parts_on, recipe.origin)
+        )
         self._wanted()
         self.view.fit_again()
         self._after_step()
@@ -356,6 +387,45 @@ class SynthesizePlace:
         self._wanted()
         self.session.edit_count += 1
         self._show_history()
+
+    # ---- pulling at a handle -------------------------------------------------------------------------------------
+
+    def _grab(self, x: float, y: float) -> bool:
+        """Take hold of the handle under the pointer, if there is one."""
+        for k in self._handles:
+            place = self.view.place_of(self._points[k])
+            if np.hypot(place[0] - x, place[1] - y) < GRAB_PIXELS:
+                self._held = (int(k), self._points[k].copy(), self.sculptor.pull(int(k), frozenset(self._locked)))
+                return True
+        return False
+
+    def _pull(self, x: float, y: float) -> None:
+        if self._held is None:
+            return
+        _, start, wanted = self._held
+        place = self.view.place_of(start)
+        camera, height = self.view.scene.camera, self.view.rectangles()[0][3]
+        unit = 2 * camera.GetParallelScale() / height
+        displacement = np.array([x - place[0], place[1] - y]) * unit @ camera_axes(camera)[:2]
+        self.session.sliders = wanted(displacement)
+
+    def _let_handle_go(self) -> None:
+        if self._held is not None:
+            part = self.sculptor.part_names[self.sculptor.part[self._held[0]]]
+            self._held = None
+            self._preview_timer.stop()
+            self._remember(f"{part} pulled")
+
+    def _marks(self) -> tuple[Mark, ...]:
+        """The handles, the one in hand filled and with an arrow from where it was."""
+        marks = []
+        for k in self._handles:
+            at = tuple(float(x) for x in self._points[k])
+            held = self._held is not None and self._held[0] == k
+            if held:
+                marks.append(Mark("arrow", tuple(float(x) for x in self._held[1]), to=at))
+            marks.append(Mark("dot" if held else "ring", at))
+        return tuple(marks)
 
     # ---- between two shapes --------------------------------------------------------------------------------------
 
@@ -394,7 +464,9 @@ class SynthesizePlace:
         self._share = share
         self.between.set_share(share)
         first, second = (self.sculptor.base_of(name) for name in self._between)
-        recipe = Recipe(f"A–B {share:.0%}", self.sculptor.between(first, second, share), origin=" – ".join(self._between))
+        recipe = Recipe(
+            f"A–B {share:.0%}", self.sculptor.between(first, second, share), origin=" – ".join(self._between)
+        )
         if self.sculptor.recipe.origin == recipe.origin and self.between.slider.isSliderDown() and self._in_drag:
             self.sculptor.recipes[self.sculptor.done] = recipe
             self.session.sliders = {}
@@ -431,7 +503,9 @@ class SynthesizePlace:
 
     def _show_words(self, *, fit: bool = False) -> None:
         busy = self.worker is not None and self.worker.busy
-        display = self.sculptor.display(self._drawn, self.made, self._label(), busy)
+        if self._held is None:
+            self._handles = self.sculptor.handles(self._points)
+        display = self.sculptor.display(self._drawn, self.made, self._label(), busy, self._marks())
         self.view.display(display, fit=fit)
 
     def _label(self) -> str:
@@ -481,7 +555,9 @@ class SynthesizePlace:
         return YES if self.made is not None and not self.made.preview else (False, "The mesh is being made.")
 
     def _export(self) -> None:
-        path = self.actions.desk.choose_save("Export the mesh (glb, ply, obj or stl)", f"{self.sculptor.recipe.label}.glb")
+        path = self.actions.desk.choose_save(
+            "Export the mesh (glb, ply, obj or stl)", f"{self.sculptor.recipe.label}.glb"
+        )
         if path is None or self.made is None:
             return
         if not path.suffix:

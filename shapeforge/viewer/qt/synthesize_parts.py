@@ -25,7 +25,9 @@ class DirectionRow(QFrame):
     entered = Signal()
     left = Signal()
 
-    def __init__(self, name: str, caption: str, low: float, high: float, histogram: np.ndarray, edges: np.ndarray) -> None:
+    def __init__(
+        self, name: str, caption: str, low: float, high: float, histogram: np.ndarray, edges: np.ndarray
+    ) -> None:
         super().__init__()
         self.setObjectName("row")
         self.slider = RangeSlider(low, high, histogram, edges)
@@ -33,8 +35,11 @@ class DirectionRow(QFrame):
         self.slider.setToolTip(
             "Bars: the shapes of the family. Double-click resets, the lock keeps the value, arrow keys move it."
         )
+        self.caption = ElidedLabel(caption, "caption")
         self.name, self.value = ElidedLabel(name, "strong"), label("0.0", "text2")
-        self.lock = button(icon="unlock", kind="icon", tooltip="Keep this value when another shape is drawn", checkable=True)
+        self.lock = button(
+            icon="unlock", kind="icon", tooltip="Keep this value when another shape is drawn", checkable=True
+        )
         self.lock.setStyleSheet("min-width: 22px; max-width: 22px; min-height: 22px; max-height: 22px;")
         self.lock.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.lock.toggled.connect(self._lock)
@@ -43,10 +48,10 @@ class DirectionRow(QFrame):
         middle = row(self.slider, self.lock, spacing=4)
         middle.setStretch(0, 1)
         middle.setAlignment(self.lock, Qt.AlignmentFlag.AlignBottom)
-        self.setLayout(column(top, middle, ElidedLabel(caption, "caption"), spacing=1, margins=(16, 6, 16, 6)))
+        self.setLayout(column(top, middle, self.caption, spacing=1, margins=(16, 4, 16, 4)))
         self.slider.moved.connect(self.moved)
         self.slider.released.connect(self.released)
-        self.setFixedHeight(90)
+        self.setFixedHeight(84)
 
     def _lock(self, on: bool) -> None:
         self.slider.set_locked(on)
@@ -136,7 +141,9 @@ class FamilyMap(QWidget):
             painter.setPen(QColor(tokens["text"]))
             painter.setFont(font(11, 600))
             left = min(max(x - 50, 2), self.width() - 102)
-            painter.drawText(QRectF(left, y - 22 if y > 26 else y + 8, 100, 14), Qt.AlignmentFlag.AlignCenter, "you are here")
+            painter.drawText(
+                QRectF(left, y - 22 if y > 26 else y + 8, 100, 14), Qt.AlignmentFlag.AlignCenter, "you are here"
+            )
         painter.end()
 
     def _at(self, event: QMouseEvent) -> int | None:

@@ -7,6 +7,7 @@ turning drag moves it.  The wheel zooms at the pointer; where ``left_paints`` is
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -45,11 +46,15 @@ class View3D(QWidget):
     double_clicked = Signal(object)
     size_wheel = Signal(int)
     camera_moved = Signal()
+    pulled = Signal(float, float)
 
     def __init__(self, session: Any = None, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.session = session
         self.left_paints = False
+        self.grab: Callable[[float, float], bool] | None = (
+            None  # takes hold of something at (x, y)? then `pulled` follows
+        )
         self.frames = 0
         self._closed = False
         self._software: bool | None = None
@@ -291,6 +296,8 @@ class View3D(QWidget):
         if event.button() == Qt.MouseButton.LeftButton and self.left_paints and not alt:
             self._drag = "paint"
             self.pressed.emit(self.pick(self._last.x(), self._last.y()), event.modifiers())
+        elif event.button() == Qt.MouseButton.LeftButton and self.grab is not None and self.grab(*self.pointer):
+            self._drag = "pull"
         else:
             self._drag = "move" if event.modifiers() & Qt.KeyboardModifier.ShiftModifier else "turn"
         return True
@@ -302,6 +309,8 @@ class View3D(QWidget):
             self.hovered.emit(self.pick(here.x(), here.y()))
         elif self._drag == "paint":
             self.dragged.emit(self.pick(here.x(), here.y()), event.modifiers())
+        elif self._drag == "pull":
+            self.pulled.emit(here.x(), here.y())
         elif (here - self._press).manhattanLength() > CLICK_SLACK or self._user_camera:
             if self._drag == "turn":
                 self.turn(step.x(), step.y())
@@ -316,7 +325,7 @@ class View3D(QWidget):
     def _on_release(self, event: QMouseEvent) -> bool:
         drag, self._drag = self._drag, None
         here = event.position()
-        if drag == "paint":
+        if drag in ("paint", "pull"):
             self.released.emit()
         if (here - self._press).manhattanLength() <= CLICK_SLACK and event.button() == Qt.MouseButton.LeftButton:
             self.clicked.emit(self.pick(here.x(), here.y()), event.modifiers())

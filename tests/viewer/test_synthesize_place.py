@@ -1,0 +1,324 @@
+"""New shapes in the real window: sliders move points at once, a mesh follows, and all of it can be undone."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import threading
+
+import numpy as np
+import pytest
+from PySide6.QtCore import QPoint, Qt
+
+from shapeforge.store import Project
+from shapeforge.viewer.display import MeshLayer, PointLayer
+from shapeforge.viewer.sculptor import MeshWorker, Sculptor, measure_words
+from shapeforge.viewer.session import Session
+from shapeforge.viewer.slider_names import changes, choose_names, what_moves
+from tests.viewer.conftest import run_stage
+
+LEFT, NONE = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
+LONG = 120_000
+
+
+@pytest.fixture(scope="session")
+def _learnt(tmp_path_factory, _fitted):
+    folder = tmp_path_factory.mktemp("learnt") / "chairs"
+    shutil.copytree(_fitted, folder)
+    run_stage(Project.open(folder), "learn", epochs=2)
+    return folder
+
+
+@pytest.fixture
+def learnt(_learnt, tmp_path):
+    shutil.copytree(_learnt, tmp_path / "chairs")
+    return Project.open(tmp_path / "chairs")
+
+
+@pytest.fixture
+def sculptor(learnt):
+    session = Session()
+    session.open(learnt)
+    made = Sculptor(session)
+    assert made.reload()
+    return made
+
+
+@pytest.fixture
+def place(open_window, learnt, qtbot):
+    window = open_window(learnt, "synthesize")
+    made = window.places["synthesize"]
+    qtbot.waitUntil(lambda: made.view.frames > 0, timeout=20000)
+    return made
+
+
+def layer_kinds(place) -> list[type]:
+    return [type(layer) for layer in place.view.shown.views[0].layers]
+
+
+def wait_for_mesh(place, qtbot) -> None:
+    qtbot.waitUntil(lambda: place.made is not None and not place.made.preview, timeout=LONG)
+
+
+# ---- the model behind the place ---------------------------------------------------------------------------------
+
+
+def test_the_middle_of_a_slider_leaves_the_shape_alone(sculptor):
+    before = sculptor.points()
+    sculptor.session.sliders = {0: 0.0, 1: 0.0}
+    assert np.array_equal(np.nan_to_num(before), np.nan_to_num(sculptor.points()))
+    sculptor.session.sliders = {0: 2.0}
+    assert np.nanmax(np.abs(sculptor.points() - before)) > 0
+
+
+def test_switched_off_parts_are_gone_and_come_back(sculptor):
+    present = np.flatnonzero(sculptor.exists())
+    sculptor.session.parts_on = {int(present[0]): False}
+    assert np.isnan(sculptor.points()[sculptor.part == present[0]]).all()
+    sculptor.session.parts_on = {}
+    assert np.isfinite(sculptor.points()[sculptor.part == present[0]]).all()
+
+
+def test_history_is_walked_back_and_forth(sculptor):
+    session = sculptor.session
+    session.sliders = {0: 1.0}
+    sculptor.keep("wider")
+    end = sculptor.points()
+    sculptor.undo()
+    assert session.sliders == {} and sculptor.redo_label == "wider"
+    sculptor.redo()
+    assert np.array_equal(np.nan_to_num(sculptor.points()), np.nan_to_num(end))
+    sculptor.undo()
+    session.sliders = {1: -1.0}
+    sculptor.keep("other")
+    assert sculptor.redo_label is None and [recipe.label for recipe in sculptor.recipes] == ["mean", "other"]
+
+
+def test_the_ends_of_the_way_between_two_shapes_are_the_shapes(sculptor):
+    a, b = (sculptor.base_of(name) for name in sculptor.shape_names[:2])
+    for share, end in ((0.0, a), (1.0, b)):
+        middle = sculptor.between(a, b, share)
+        assert np.allclose(middle.hidden1, end.hidden1, atol=1e-5) and np.array_equal(middle.exists, end.exists)
+
+
+def test_draws_differ_and_can_be_repeated(sculptor, learnt):
+    first, second = sculptor.random_base(), sculptor.random_base()
+    assert not np.array_equal(first.hidden3, second.hidden3) or not np.array_equal(first.exists, second.exists)
+    session = Session()
+    session.open(learnt)
+    again = Sculptor(session)
+    again.reload()
+    assert np.array_equal(again.random_base().hidden3, first.hidden3)
+
+
+def test_the_nearest_shape_of_a_shape_is_itself(sculptor):
+    name, distance = sculptor.nearest(sculptor.positions[2])
+    assert name == sculptor.shape_names[2] and distance == pytest.approx(0, abs=1e-6)
+
+
+def test_pulling_a_point_moves_it_towards_where_it_is_pulled(sculptor):
+    points = sculptor.points()
+    handle = int(sculptor.handles(points)[0])
+    wanted = sculptor.pull(handle)
+    best = 0.0
+    for direction in np.vstack([np.eye(3), -np.eye(3)]):
+        sculptor.session.sliders = wanted(0.02 * direction)
+        moved = (sculptor.points()[handle] - points[handle]) @ direction
+        assert moved > -0.005
+        best = max(best, float(moved))
+    assert best > 0.001
+    sculptor.session.sliders = {}
+    held = sculptor.pull(handle, frozenset({0}))(np.array([0.05, 0.0, 0.0]))
+    assert 0 not in held, "a locked slider keeps its value"
+
+
+def test_the_worker_makes_the_newest_wish_only(sculptor, monkeypatch):
+    begun, go, made = threading.Event(), threading.Event(), []
+
+    def slow(self, wish, points, exists, preview):
+        begun.set()
+        go.wait(10)
+        made.append(wish)
+        return RuntimeError("as good as a mesh")
+
+    monkeypatch.setattr(MeshWorker, "_make", slow)
+    arrived = threading.Semaphore(0)
+    worker = MeshWorker(sculptor, arrived.release)
+    points, exists = sculptor.points(), sculptor.exists()
+    worker.ask(1, points, exists, False)
+    assert begun.wait(10)
+    for wish in (2, 3, 4):
+        worker.ask(wish, points, exists, False)
+    go.set()
+    assert arrived.acquire(timeout=10) and arrived.acquire(timeout=10)
+    assert made == [1, 4] and isinstance(worker.take(), RuntimeError) and worker.take() is None
+    worker.close()
+
+
+def test_sliders_are_named_after_what_they_do():
+    rng = np.random.default_rng(0)
+    base = np.vstack(
+        [
+            rng.uniform([-0.2, 0, -0.2], [0.2, 0.05, 0.2], (400, 3)),
+            rng.uniform([-0.2, 0.05, -0.2], [0.2, 0.5, -0.15], (400, 3)),
+        ]
+    )
+    part, names, exists = np.repeat([0, 1], 400), ["seat", "back"], np.array([True, True])
+
+    def first(after: np.ndarray) -> str:
+        return changes(base, after, part, names, exists)[0][1]
+
+    assert first(base * [1.4, 1, 1]) == "Width"
+    taller = base.copy()
+    taller[400:, 1] = 0.05 + 1.5 * (base[400:, 1] - 0.05)
+    assert first(taller) in ("Height", "Height of the back")
+    leaning = base.copy()
+    leaning[400:, 2] -= 0.5 * (base[400:, 1] - 0.05)
+    assert first(leaning) in ("Lean of the back", "Depth of the back")
+    assert choose_names([[(0.1, "Width"), (0.09, "Depth")], [(0.1, "Width"), (0.07, "Height")], [(0.1, "Width")], [(0.001, "Width")]],
+                        ["a", "b", "c", "d"]) == ["Width", "Height", "Width (2)", "d"]  # fmt: skip
+    moves = np.where(part == 1, 0.09, 0.01)
+    assert what_moves(moves, part, names, exists) == "moves: back · 9% of size"
+    assert what_moves(moves, part, names, np.array([True, False])) == "moves: seat · 1% of size"
+
+
+def test_measures_in_words():
+    words = measure_words({"largest_gap": 0.0012, "symmetry_error": None, "folded_triangles": 1})
+    assert words == "gaps 0.1% · 1 folded triangle"
+
+
+# ---- the place ---------------------------------------------------------------------------------------------------
+
+
+def test_it_begins_with_the_mean_as_points_and_then_a_mesh(place, qtbot):
+    assert place.sculptor.recipe.label == "mean"
+    wait_for_mesh(place, qtbot)
+    assert layer_kinds(place) == [MeshLayer]
+    assert place.export.isEnabled()
+    corners = {caption.corner: caption for caption in place.view.shown.views[0].captions}
+    assert "gaps" in corners["bottom right"].lines[0][0] and "nearest real shape" in corners["top right"].lines[1][0]
+
+
+def test_a_dragged_slider_moves_points_at_once_and_is_one_undo_item(place, qtbot):
+    slider, table = place.rows[0].slider, place.actions
+    y = slider.height() - 10
+    x0, x1 = round(slider.x_of(0.0)), round(slider.x_of(slider.inner[1]))
+    before = place._points.copy()
+    qtbot.mousePress(slider, LEFT, NONE, QPoint(x0, y))
+    for i in range(1, 5):
+        qtbot.mouseMove(slider, QPoint(x0 + (x1 - x0) * i // 4, y))
+    assert layer_kinds(place) == [PointLayer]
+    assert np.nanmax(np.abs(place._points - before)) > 0
+    value = place.session.sliders[0]
+    assert value == pytest.approx(slider.inner[1], rel=0.1)
+    qtbot.mouseRelease(slider, LEFT, NONE, QPoint(x1, y))
+    assert len(place.sculptor.recipes) == 2 and place.sculptor.done == 1
+    table.run("undo")
+    assert place.session.sliders.get(0, 0.0) == 0.0 and np.allclose(np.nan_to_num(place._points), np.nan_to_num(before))
+    table.run("redo")
+    assert place.session.sliders[0] == pytest.approx(value)
+
+
+def test_random_keeps_what_is_locked(place, qtbot):
+    place.session.sliders = {1: 1.5, 2: -1.0}
+    place.rows[1].lock.setChecked(True)
+    assert place.actions.run("random_shape")
+    assert place.session.sliders == {1: 1.5} and place.sculptor.recipe.label == "random"
+    place.actions.run("reset_sliders")
+    assert place.session.sliders == {1: 1.5}
+
+
+def test_from_a_shape_on_the_map(place, qtbot):
+    x, y = place.map.dot(3)
+    nearest = int(
+        np.argmin(
+            [np.hypot(place.map.dot(i)[0] - x, place.map.dot(i)[1] - y) for i in range(len(place.sculptor.shape_names))]
+        )
+    )
+    qtbot.mouseClick(place.map, LEFT, NONE, QPoint(round(x), round(y)))
+    label = place.sculptor.recipe.label
+    assert label == place.sculptor.shape_names[nearest] or label in place.sculptor.shape_names
+    assert np.array_equal(place.sculptor.recipe.base.exists, place.sculptor.base_of(label).exists)
+
+
+def test_between_two_shapes_is_one_item_per_drag(place, qtbot):
+    place.session.selected = place.sculptor.shape_names[:2]
+    assert place.actions.run("between") and place.between.isVisibleTo(place.centre)
+    assert place._between == place.sculptor.shape_names[:2]
+    count = len(place.sculptor.recipes)
+    place.between.slider.setSliderDown(True)
+    for value in (55, 60, 70, 80):
+        place.between.slider.setValue(value)
+    place.between.slider.setSliderDown(False)
+    assert len(place.sculptor.recipes) == count + 1 and place.sculptor.recipe.label == "A–B 80%"
+    expected = place.sculptor.between(*(place.sculptor.base_of(n) for n in place._between), 0.8)
+    assert np.allclose(place.sculptor.recipe.base.hidden2, expected.hidden2)
+    assert place.actions.run("between") and not place.between.isVisibleTo(place.centre)
+
+
+def test_a_handle_pulled_in_the_view_moves_sliders(place, qtbot):
+    handle = int(place._handles[0])
+    x, y = (round(v) for v in place.view.place_of(place._points[handle]))
+    target = place.view.plotter
+    camera = np.array(place.view.scene.camera.GetPosition())
+    qtbot.mousePress(target, LEFT, NONE, QPoint(x, y))
+    assert place._held is not None
+    for i in range(1, 5):
+        qtbot.mouseMove(target, QPoint(x, y - 8 * i))
+    assert any(abs(value) > 1e-3 for value in place.session.sliders.values())
+    assert any(mark.kind == "arrow" for mark in place.view.shown.views[0].marks)
+    qtbot.mouseRelease(target, LEFT, NONE, QPoint(x, y - 32))
+    assert place._held is None and place.sculptor.recipe.label.endswith("pulled")
+    assert np.array_equal(np.array(place.view.scene.camera.GetPosition()), camera), "the view did not turn"
+
+
+def test_part_switches_say_what_is_fixed(place):
+    always = place.sculptor.always()
+    for part, switch in place.switches.items():
+        assert switch.isEnabled() == (not always[part])
+    optional = [part for part in place.switches if not always[part]]
+    if not optional:
+        pytest.skip("every part of this family is on every shape")
+    switch, part = place.switches[optional[0]], optional[0]
+    was = bool(place.sculptor.exists()[part])
+    switch.click()
+    assert bool(place.sculptor.exists()[part]) != was and place.sculptor.recipe.label.endswith(("on", "off"))
+
+
+def test_points_can_be_shown_instead(place, qtbot):
+    wait_for_mesh(place, qtbot)
+    place.shown_as.button("points").click()
+    assert layer_kinds(place) == [PointLayer]
+    place.shown_as.button("mesh").click()
+    assert layer_kinds(place) == [MeshLayer]
+
+
+def test_an_old_answer_is_dropped(place, qtbot):
+    wait_for_mesh(place, qtbot)
+    old = place.made
+    place.session.sliders = {0: 1.0}
+    assert place.made is None
+    place.worker._result = old
+    place._read_mail()
+    assert place.made is None
+
+
+def test_export_writes_the_mesh_and_its_recipe(place, qtbot, tmp_path, monkeypatch):
+    assert place.actions.verdict("export_mesh") in ((True, ""), (False, "The mesh is being made."))
+    wait_for_mesh(place, qtbot)
+    monkeypatch.setattr(place.actions.desk, "choose_save", lambda title, name: tmp_path / "chair")
+    assert place.actions.run("export_mesh")
+    assert (tmp_path / "chair.glb").stat().st_size > 1000
+    recipe = json.loads((tmp_path / "chair.glb.recipe.json").read_text("utf-8"))
+    assert recipe["machine"] == place.session.project.machine_id and len(recipe["hidden"]) == 3
+    assert recipe["parts"] == [
+        n for n, on in zip(place.sculptor.part_names, place.sculptor.exists(), strict=True) if on
+    ]
+
+
+def test_a_mesh_that_cannot_be_made_is_said(place, qtbot, monkeypatch):
+    monkeypatch.setattr(MeshWorker, "_make", lambda *a: (_ for _ in ()).throw(ValueError("no such part")))
+    wait_or_any = place.session
+    place.session.sliders = {0: 0.5}
+    qtbot.waitUntil(lambda: "no such part" in wait_or_any.status, timeout=LONG)
+    assert wait_or_any.status_kind == "error"
