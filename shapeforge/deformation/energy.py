@@ -6,7 +6,7 @@ import numpy as np
 
 from shapeforge.deformation import _kernels
 from shapeforge.deformation.beliefs import Beliefs
-from shapeforge.deformation.factors import LOG_EPSILON, Covariances, attraction
+from shapeforge.deformation.factors import DESCRIPTOR_WEIGHT, LOG_EPSILON, Covariances, attraction
 from shapeforge.deformation.templates import PartTemplates
 from shapeforge.deformation.updates import Candidates, Correspondence, Problem, mapped_template
 
@@ -21,10 +21,10 @@ def free_energy(
     covariances: Covariances,
     pull: np.ndarray | None = None,
 ) -> float:
-    """E_Q[-ln P̃] - H(Q) of one shape in nats, up to constants of the covariances (supplement 1).
+    """E_Q[-ln P̃] - H(Q) of one shape in nats, with the normalisers of the Gaussian factors (supplement 1).
 
     Every pair of template points and of samples counts once; ``pull`` is φ5's logit Φ per pair if it is at hand.
-     Labels of inactive parts have probability zero.
+    Labels of inactive parts have probability zero.
     """
     if pull is None:
         pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)
@@ -35,6 +35,11 @@ def free_energy(
     mapped = mapped_template(templates, beliefs)
     total += _kernels.energy_of_smoothness(*graph, beliefs.deformed, beliefs.variance, mapped, 1.0 / covariances.smooth)
     total -= 0.5 * float(np.log(beliefs.variance).sum())
+    # the Gaussians' normalisers: without them the curve would rise merely because Σ1 is annealed
+    n_points, n_pairs = len(problem.points), len(graph[1]) / 2
+    total += 0.5 * n_points * float(np.log(2 * np.pi * covariances.unary).sum())
+    total += 0.5 * n_points * DESCRIPTOR_WEIGHT * float(np.log(2 * np.pi * covariances.descriptor).sum())
+    total += 0.5 * n_pairs * float(np.log(2 * np.pi * covariances.smooth).sum())
     return float(
         total + _kernels.energy_of_segmentation(problem.offsets, problem.neighbour, pull, beliefs.segmentation)
     )
