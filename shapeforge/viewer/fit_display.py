@@ -139,16 +139,16 @@ def probable_layer(shape: Shape, probabilities: Float[np.ndarray, "F L"]) -> Mes
 
 def template_view(
     ghost: MeshLayer, look: TemplateLook | None, now: FittedPoints | None, before: FittedPoints | None, by: str,
-    captions: tuple[Caption, ...] = (),
+    captions: tuple[Caption, ...] = (), dot: float = POINT_SIZE,
 ) -> View:  # fmt: skip
-    """Template points over the ghost of the shape; lines show what moved since the round before."""
+    """Template points (``dot`` pixels) over the ghost of the shape; lines show what moved since the round before."""
     layers: list[MeshLayer | PointLayer | LineLayer] = [ghost]
     if look is not None and now is not None and len(now.positions) == len(look.label):
         moved = movement(now, before)
         colours = point_colours(look, now, by, moved)
         on = now.active[look.label]
         positions = np.asarray(now.positions, float)
-        layers.append(PointLayer("points", positions[on], colours[on], POINT_SIZE))
+        layers.append(PointLayer("points", positions[on], colours[on], dot))
         if (~on).any():
             layers.append(PointLayer("off", positions[~on], colours[~on], OFF_SIZE))
         if moved is not None and before is not None:

@@ -91,9 +91,9 @@ def _keep_apart(means: np.ndarray, local: list[np.ndarray], aspect: float) -> np
     index = np.arange(len(means))
     jitter = 1e-3 * np.stack([np.cos(2.4 * index), np.sin(2.4 * index)], axis=1)
     centres = spread * (np.sqrt(size) / max(reach, 1e-9)) + jitter
-    pull = np.array([0.97, 0.97 ** aspect])
-    for step in range(160):
-        if step < 120:
+    pull = np.array([0.94, 0.94**aspect])
+    for step in range(90):
+        if step < 60:
             centres *= pull
         moved = False
         for _ in range(6):
@@ -109,7 +109,7 @@ def _keep_apart(means: np.ndarray, local: list[np.ndarray], aspect: float) -> np
                         moved = True
             if not moved:
                 break
-        if step >= 120 and not moved:
+        if step >= 60 and not moved:
             break
     return centres
 
@@ -128,7 +128,7 @@ def _overlap(first: np.ndarray, second: np.ndarray) -> np.ndarray | None:
 
 
 def place_in_rows(
-    group: Int[np.ndarray, " T"], columns: int, *, header: float = 0.5
+    group: Int[np.ndarray, " T"], columns: int, *, header: float = 0.38
 ) -> tuple[Float[np.ndarray, "T 2"], list[tuple[int, float]]]:
     """Centres (T, 2) in rows of ``columns`` tiles, group by group, and (group, y) of each group's heading.
 

@@ -12,6 +12,8 @@ def run(path: Path | None = None) -> int:
     # VTK talks to X11: under Wayland the window goes through XWayland when that is there.
     if sys.platform.startswith("linux") and os.environ.get("DISPLAY"):
         os.environ.setdefault("QT_QPA_PLATFORM", "xcb")
+        # And to GLX: with Qt on EGL in the same thread, each would draw into the other's window.
+        os.environ.setdefault("QT_XCB_GL_INTEGRATION", "xcb_glx")
     os.environ.setdefault("QT_API", "pyside6")
     from PySide6.QtWidgets import QApplication
 

@@ -47,7 +47,8 @@ from shapeforge.viewer.qt.widgets import (
 from shapeforge.viewer.runner import duration
 from shapeforge.viewer.session import Session
 
-PREVIEW = (280, 176)
+PREVIEW = (280, 184)
+PREVIEW_WORDS = 30
 MAP_PICTURE = 160
 HINTS = {
     "map": "Near means similar. Wheel zooms, drag pans, Shift-drag selects, Home shows all.",
@@ -132,7 +133,7 @@ class CollectionPlace:
         holder = QWidget()
         holder.setLayout(column(groups, separator(), spacing=0))
         self.exemplar_title, self.typical = label("", "heading"), label("", "caption")
-        self.preview = Picture(PREVIEW)
+        self.preview = Picture(PREVIEW, top=PREVIEW_WORDS)
         self.preview_name, self.preview_about = label("", "strong"), label("", "caption")
         words = column(self.preview_name, self.preview_about, None, spacing=0, margins=(12, 10, 12, 8))
         self.look = action_button(self.actions, "look_at", self.binding, text="", kind="icon")
@@ -260,7 +261,8 @@ class CollectionPlace:
             facts.append("the exemplar" if t == e else f"{groups.dissimilarity[t, e]:.2f} from its exemplar")
         out = "X: put it back" if g < 0 and groups is not None else "X: leave it out"
         keys = "Enter: look at it" + (f" · {out}" if groups is not None else "")
-        return f"<b>{escape(name)}</b>{escape(group)}<br>{escape(' · '.join(facts))}<br>{escape(keys)}"
+        lines = (f"<b>{escape(name)}</b>{escape(group)}", escape(" · ".join(facts)), escape(keys))
+        return f"<div style='white-space: nowrap'>{'<br>'.join(lines)}</div>"
 
     def _show_groups(self) -> None:
         clear(self.group_list)
@@ -511,7 +513,7 @@ class CollectionPlace:
         self.session.say("The list of problems is in the clipboard", "ok")
 
 
-PREVIEW_PIXELS = (PREVIEW[0] * 2, PREVIEW[1] * 2)
+PREVIEW_PIXELS = (PREVIEW[0] * 2, (PREVIEW[1] - PREVIEW_WORDS) * 2)
 PHASES = {"import": "Reading", "group": "Grouping", "cosegment": "Proposing parts", "fit": "Fitting", "learn": "Learning"}
 
 

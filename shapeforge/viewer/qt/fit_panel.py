@@ -172,7 +172,7 @@ class FitPlace:
         self.energy_text = label("", "caption", wrap=True)
         self.parts_title = label("Parts", "heading")
         self.part_list = column(spacing=0)
-        self.note_title, self.note_text = label("", "heading"), label("", "caption", wrap=True)
+        self.note_title, self.note_text = label("", "heading", wrap=True), label("", "caption", wrap=True)
         self.note_show = button("", kind="link", tooltip="Watch these shapes below")
         self.note_show.clicked.connect(self._watch_off)
         words = column(self.note_title, self.note_text, 2, row(self.note_show, None), spacing=2)
@@ -357,7 +357,7 @@ class FitPlace:
             look = self._look(now.template) if now is not None else None
             lines = [(name, "strong"), (self._moved_text(name)[0], "plain")]
             caption = (Caption("top left", tuple(lines)),)
-            views.append(template_view(self._layer(name, "ghost"), look, now, before, self.by.value_text(), caption))
+            views.append(template_view(self._layer(name, "ghost"), look, now, before, self.by.value_text(), caption, 2.6))
         return Display(tuple(views), rows, columns)
 
     def _show_legend(self) -> None:

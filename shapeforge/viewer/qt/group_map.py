@@ -98,10 +98,13 @@ class GroupMap(QWidget):
 
     def set_content(self, content: MapContent, *, rows: bool | None = None) -> None:
         """Show other shapes or groups; where the user had zoomed or panned to is kept while the shapes are the same."""
-        same = content.names == self.content.names and (rows is None or rows == self.rows)
+        old = self.content
+        same = content.names == old.names and (rows is None or rows == self.rows)
+        alike = same and np.array_equal(content.group, old.group) and np.array_equal(content.embedding, old.embedding)
         self.content = content
         self.rows = self.rows if rows is None else rows
-        self._arrange()
+        if not (alike and content.grouped == old.grouped):
+            self._arrange()
         if not (same and self._touched):
             self.fit()
         self.update()
@@ -201,7 +204,7 @@ class GroupMap(QWidget):
         if not self.content.grouped:
             return
         for g, y in self._headings:
-            self._paint_name(painter, tokens, g, self._offset + QPointF(4, y * self._tile + 24), centred=False)
+            self._paint_name(painter, tokens, g, self._offset + QPointF(4, y * self._tile + 26), centred=False)
 
     def _paint_name(self, painter: QPainter, tokens: dict[str, str], g: int, at: QPointF, *, centred: bool) -> None:
         """The group's name in its colour and how many it has; ``at`` is the middle (or left end) of the base line."""
@@ -246,8 +249,8 @@ class GroupMap(QWidget):
             fill.setAlphaF(0.25 if chosen else 0.10)
             painter.setPen(QPen(accent, 2))
             painter.setBrush(fill)
-            painter.drawEllipse(centre, tile * 0.52, tile * 0.52)
-            picture_box = box.adjusted(*(v * tile * 0.12 for v in (1, 1, -1, -1)))
+            painter.drawEllipse(centre, tile * 0.56, tile * 0.56)
+            picture_box = box.adjusted(*(v * tile * 0.07 for v in (1, 1, -1, -1)))
         else:
             self._paint_frame(painter, tokens, box, chosen, index)
             picture_box = box.adjusted(*(v * tile * 0.03 for v in (1, 1, -1, -1)))
@@ -269,7 +272,7 @@ class GroupMap(QWidget):
             words = QFontMetricsF(painter.font()).elidedText(name, Qt.TextElideMode.ElideMiddle, tile - 16)
             painter.drawText(box.adjusted(4, 0, -4, -5), Qt.AlignmentFlag.AlignHCenter | Qt.AlignmentFlag.AlignBottom, words)
         if exemplar:
-            corner = box.topRight() + QPointF(-13, 13) if in_rows else centre + QPointF(0.37, -0.37) * tile
+            corner = box.topRight() + QPointF(-13, 13) if in_rows else centre + QPointF(0.4, -0.4) * tile
             self._paint_star(painter, tokens, corner, QColor(tokens["accent"]) if chosen else colour)
 
     def _paint_frame(self, painter: QPainter, tokens: dict[str, str], box: QRectF, chosen: bool, index: int) -> None:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import QPoint, QStringListModel, Qt
+from PySide6.QtCore import QPoint, QStringListModel, Qt, QTimer
 from PySide6.QtGui import QAction, QKeyEvent
 from PySide6.QtWidgets import QCompleter, QFrame, QLineEdit, QMenu, QWidget
 
 from shapeforge.viewer.actions import PLACE_NAMES, Actions, group_of, groups_of
 from shapeforge.viewer.qt.bind import ENABLING, Binding, action_button, native
-from shapeforge.viewer.qt.icons import refresh
+from shapeforge.viewer.qt.icons import refresh, set_icon
 from shapeforge.viewer.qt.theme import HEADER, PADDING
-from shapeforge.viewer.qt.widgets import button, clear, icon_label, label, row, separator
+from shapeforge.viewer.qt.widgets import ElidedLabel, button, clear, icon_label, label, row, separator
+from shapeforge.viewer.runner import duration
+
+
+SHOWN_MS = 6000
+"""How long good news stay; warnings and errors stay until something else is said."""
+_SIGNS = {"ok": "check", "warning": "warning", "error": "error"}
 
 
 class Search(QLineEdit):
@@ -81,14 +87,18 @@ class Header(QFrame):
         self.more.clicked.connect(self._open_menu)
         holder = QWidget()
         holder.setLayout(self.crumbs)
+        self.sign, self.status = icon_label("info"), ElidedLabel("", "text2")
+        self._fade = QTimer(self, singleShot=True, interval=SHOWN_MS)
+        self._fade.timeout.connect(self._hide_status)
         self.setLayout(
             row(
-                holder, None, self.search, 4, separator(vertical=True), 4, self.undo, self.redo, 4,
+                holder, 16, self.sign, self.status, None, self.search, 4, separator(vertical=True), 4, self.undo, self.redo, 4,
                 separator(vertical=True), 4, self.picture, self.more, spacing=4, margins=(PADDING, 0, 12, 0),
             )
         )  # fmt: skip
         binding.on(("project", "shape", "place", "data"), self._show)
         binding.on(ENABLING, self._show_undo)
+        binding.on(("status", "running", "progress", "place", "theme"), self._show_status)
 
     def _show(self) -> None:
         session = self._actions.session
@@ -113,6 +123,33 @@ class Header(QFrame):
             one.clicked.connect(go)
             self.crumbs.addWidget(one)
         refresh(self, session.theme)
+
+    def _show_status(self) -> None:
+        """What was said last, and what runs elsewhere; Collection and Fit say both themselves, in their strips."""
+        session = self._actions.session
+        elsewhere = session.project is not None and session.place not in ("collection", "fit")
+        if session.running and elsewhere:
+            progress = session.progress
+            text = f"{session.stage} is running"
+            if progress is not None:
+                left = f", {duration(progress.seconds_left)} left" if progress.seconds_left is not None else ""
+                text = f"{progress.stage}: {progress.phase} {progress.step} of {progress.of}{left}"
+            kind = "clock"
+        else:
+            text, kind = session.status, _SIGNS.get(session.status_kind, "info")
+        shown = elsewhere and bool(text)
+        self.sign.setVisible(shown)
+        self.status.setVisible(shown)
+        self.status.setText(text)
+        set_icon(self.sign, kind, {"check": "ok", "warning": "warning", "error": "error"}.get(kind, "text_2"))
+        if shown and kind in ("check", "info"):
+            self._fade.start()
+        else:
+            self._fade.stop()
+
+    def _hide_status(self) -> None:
+        self.sign.hide()
+        self.status.hide()
 
     def _to_collection(self) -> None:
         self._actions.run("go_collection")

@@ -41,6 +41,7 @@ class StartPage(QWidget):
         self.setObjectName("start")
         self._actions = actions
         self.setAcceptDrops(True)
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.ways: dict[str, Clickable] = {}
         cards = []
         for name, title, about in _WAYS:

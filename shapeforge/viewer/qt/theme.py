@@ -135,7 +135,7 @@ QMenu::item:selected {{ background: {accent_ground}; color: {text}; }}
 QMenu::item:disabled {{ color: {text_off}; }}
 QMenu::separator {{ height: 1px; background: {separator}; margin: 4px 6px; }}
 QMenu::icon {{ padding-left: 8px; }}
-QToolTip {{ background: {tooltip}; color: {tooltip_text}; border: 1px solid {separator_strong}; padding: 6px 8px;
+QToolTip {{ background: {tooltip}; color: {tooltip_text}; border: 1px solid {separator_strong}; padding: 3px 5px;
   font-size: 11px; }}
 QScrollBar:vertical {{ background: transparent; width: 10px; margin: 0; border: none; }}
 QScrollBar::handle:vertical {{ background: {separator_strong}; border-radius: 3px; min-height: 24px; margin: 2px; }}

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 from PySide6.QtCore import QObject, QTimer, Signal
-from PySide6.QtGui import QImage, QPixmap
+from PySide6.QtGui import QImage, QOpenGLContext, QPixmap
 
 from shapeforge.viewer.session import Session
 
@@ -22,6 +22,23 @@ def to_pixmap(picture: np.ndarray) -> QPixmap:
     height, width, channels = picture.shape
     kind = QImage.Format.Format_RGBA8888 if channels == 4 else QImage.Format.Format_RGB888
     return QPixmap.fromImage(QImage(picture.data, width, height, channels * width, kind).copy())
+
+
+def beside_qt(take: Callable[[], np.ndarray]) -> np.ndarray:
+    """Take a picture while Qt holds no GL context.
+
+    VTK's hidden window makes a context of its own current behind Qt's back; Qt, believing that its own still is, would
+    then draw the whole window into the picture (and leave the screen black).
+    """
+    context = QOpenGLContext.currentContext()
+    surface = None if context is None else context.surface()
+    if context is not None:
+        context.doneCurrent()
+    try:
+        return take()
+    finally:
+        if context is not None and surface is not None:
+            context.makeCurrent(surface)
 
 
 class Thumbnails(QObject):
@@ -89,7 +106,7 @@ class Thumbnails(QObject):
             return
         key, take = self._wanted.popitem(last=False)
         try:
-            self._known[key] = to_pixmap(take())
+            self._known[key] = to_pixmap(beside_qt(take))
         except (ValueError, OSError, KeyError):
             self._known[key] = None  # a shape that cannot be drawn shows its outline; the list of problems says why
         while len(self._known) > KEPT:

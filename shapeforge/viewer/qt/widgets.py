@@ -383,10 +383,11 @@ class Clickable(QFrame):
 class Picture(QWidget):
     """A picture that keeps its proportions and is centred; a quiet outline stands for one that is still to come."""
 
-    def __init__(self, size: tuple[int, int], *, radius: int = 4) -> None:
+    def __init__(self, size: tuple[int, int], *, radius: int = 4, top: int = 0) -> None:
+        """``top`` pixels stay free above the picture, for words."""
         super().__init__()
         self.setFixedSize(*size)
-        self._radius = radius
+        self._radius, self._top = radius, top
         self._pixmap: QPixmap | None = None
 
     def set_pixmap(self, pixmap: QPixmap | None) -> None:
@@ -404,6 +405,7 @@ class Picture(QWidget):
             painter.drawPath(outline)
             return
         # The pixmap may carry its own device pixel ratio; only its proportions matter here.
-        size = self._pixmap.size().scaled(self.size(), Qt.AspectRatioMode.KeepAspectRatio)
-        corner = QPointF((self.width() - size.width()) / 2, (self.height() - size.height()) / 2)
+        room = QSize(self.width(), self.height() - self._top)
+        size = self._pixmap.size().scaled(room, Qt.AspectRatioMode.KeepAspectRatio)
+        corner = QPointF((room.width() - size.width()) / 2, self._top + (room.height() - size.height()) / 2)
         painter.drawPixmap(QRectF(corner, size.toSizeF()), self._pixmap, QRectF(self._pixmap.rect()))

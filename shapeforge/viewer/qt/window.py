@@ -183,6 +183,7 @@ class Window(QWidget):
         if session.project is None:
             self._leave()
             self.pages.setCurrentIndex(0)
+            self.start_page.setFocus(Qt.FocusReason.OtherFocusReason)
             self.setWindowTitle("shapeforge")
             return
         can, why = place_verdict(self.actions_table, session.place)
@@ -284,8 +285,10 @@ class Window(QWidget):
         for place in (None, *PLACES):
             of_place = [a for a in self.actions_table.values() if a.place == place and a.shortcut]
             if of_place:
-                grid.addWidget(label(PLACE_NAMES[place] if place else "Everywhere", "heading"), rows, 0, 1, 2)
-                rows += 1
+                if rows:
+                    grid.setRowMinimumHeight(rows, 8)
+                grid.addWidget(label(PLACE_NAMES[place] if place else "Everywhere", "heading"), rows + 1, 0, 1, 2)
+                rows += 2
             for action in of_place:
                 grid.addWidget(label(native(action.shortcut), "keycap"), rows, 0, Qt.AlignmentFlag.AlignLeft)
                 grid.addWidget(label(action.label.rstrip("…"), "text2"), rows, 1)
