@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from shapeforge.viewer import report_measures
 from shapeforge.viewer import report_sections as sections
 from shapeforge.viewer.palette import DARK, LIGHT
 
@@ -54,7 +55,7 @@ def report_text(project: Any, *, measures: Mapping[str, Any] | None = None, most
         ("fit", "Fit", sections.fit(project)),
         ("family", "What varies", sections.directions(project)),
         ("new", "New shapes", sections.new_shapes(project)),
-        ("measures", "Measures", sections.measures(project, measures)),
+        ("measures", "Measures", report_measures.measures(project, measures)),
         ("problems", "Files", sections.problems(project)),
     ]
     there = [(anchor, title, body) for anchor, title, body in found if body]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -12,36 +11,9 @@ import numpy as np
 
 from shapeforge.viewer import likeness, svg
 from shapeforge.viewer.palette import PARTS, group_colours, part_colours
+from shapeforge.viewer.report_html import dot, image, number, percent, table
 
 CARD, FACE, WIDE = (112, 112), (168, 168), (150, 150)
-
-
-# -- pieces of a page ------------------------------------------------------------------------------------------------
-
-
-def _image(picture: np.ndarray | None, alt: str) -> str:
-    if picture is None:
-        return ""
-    height, width = picture.shape[:2]
-    address = likeness.data_address(picture)
-    return f'<img src="{address}" width="{width}" height="{height}" alt="{escape(alt, quote=True)}" loading="lazy">'
-
-
-def _table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
-    """A table of ready HTML cells; numbers stand right."""
-
-    def cell(text: str, kind: str = "td") -> str:
-        numeric = re.fullmatch(r"[\d.,\N{MINUS SIGN}e+-]+( s| %)?|took|value", text) is not None
-        return f"<{kind}{' class=n' if numeric else ''}>{text}</{kind}>"
-
-    top = f"<thead><tr>{''.join(cell(text, 'th') for text in head)}</tr></thead>" if head else ""
-    body = "".join(f"<tr>{''.join(cell(text) for text in row)}</tr>" for row in rows)
-    return f"<div class=scroll><table>{top}<tbody>{body}</tbody></table></div>"
-
-
-def _dot(colour: Sequence[int] | np.ndarray | str) -> str:
-    text = colour if isinstance(colour, str) else "#{:02X}{:02X}{:02X}".format(*(int(c) for c in colour))
-    return f'<span class=dot style="background:{text}"></span>'
 
 
 def _part_names(project: Any) -> tuple[str, ...]:
@@ -54,11 +26,7 @@ def _part_names(project: Any) -> tuple[str, ...]:
 def _legend(project: Any) -> str:
     names = _part_names(project)
     colours = part_colours(len(names))
-    return "".join(f"<span>{_dot(c)}{escape(name)}</span>" for name, c in zip(names, colours, strict=True))
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %"
+    return "".join(f"<span>{dot(c)}{escape(name)}</span>" for name, c in zip(names, colours, strict=True))
 
 
 # -- sections --------------------------------------------------------------------------------------------------------
@@ -98,7 +66,7 @@ def overview(project: Any) -> str:
         took = f"{record['seconds']:.0f} s" if record.get("seconds") is not None else ""
         rows.append([f'<b class="{tone}">{mark}</b> {stage}', found.state, escape(said), took])
     ahead = next_step(project).replace(str(project.path), project.name)
-    return _table(rows, ("stage", "state", "", "took")) + f"<p class=note>Next: {escape(ahead)}</p>"
+    return table(rows, ("stage", "state", "", "took")) + f"<p class=note>Next: {escape(ahead)}</p>"
 
 
 def groups(project: Any) -> str:
@@ -115,13 +83,13 @@ def groups(project: Any) -> str:
         if large is None:
             large = likeness.plain_picture(project, exemplar, FACE)
         some = [m for m in members if m != exemplar][:12]
-        small = "".join(_image(likeness.plain_picture(project, m, (72, 72)), m) for m in some)
+        small = "".join(image(likeness.plain_picture(project, m, (72, 72)), m) for m in some)
         more = (
             f"<span class=more>and {len(members) - 1 - len(some)} more</span>" if len(members) - 1 > len(some) else ""
         )
         blocks.append(
-            f"<div class=group><figure>{_image(large, exemplar)}<figcaption>★ {escape(exemplar)}</figcaption></figure>"
-            f"<div><h3>{_dot(colours[g])}{escape(name)} <small>{len(members)}</small></h3>"
+            f"<div class=group><figure>{image(large, exemplar)}<figcaption>★ {escape(exemplar)}</figcaption></figure>"
+            f"<div><h3>{dot(colours[g])}{escape(name)} <small>{len(members)}</small></h3>"
             f"<div class=strip>{small}{more}</div></div></div>"
         )
     left = int((groups.group < 0).sum())
@@ -143,13 +111,13 @@ def shapes(project: Any, shown: Sequence[str]) -> str:
             (likeness.part_picture(project, name, CARD), "parts"),
             (likeness.correspondence_picture(project, name, CARD), "correspondence"),
         ]
-        three = "".join(_image(picture, f"{name}, {words}") for picture, words in pictures if picture is not None)
+        three = "".join(image(picture, f"{name}, {words}") for picture, words in pictures if picture is not None)
         group = -1 if groups is None else int(groups.group[index[name]])
-        dot = _dot(colours[group]) if group >= 0 else ""
+        mark = dot(colours[group]) if group >= 0 else ""
         star = "★ " if groups is not None and index[name] in groups.exemplars else ""
         cards.append(
             f"<figure class=card><div class=three>{three}</div>"
-            f"<figcaption>{dot}<b>{star}{escape(name)}</b>{_about(project, name)}</figcaption></figure>"
+            f"<figcaption>{mark}<b>{star}{escape(name)}</b>{_about(project, name)}</figcaption></figure>"
         )
     left = len(project.names) - len(shown)
     note = f"<p class=note>{len(shown)} of {len(project.names)} shapes, evenly chosen.</p>" if left else ""
@@ -174,7 +142,7 @@ def _about(project: Any, name: str) -> str:
         mesh = project.shapes.named(name).mesh
         areas = likeness.part_areas(mesh, labels, len(names))
         sure = float(np.average(np.asarray(probabilities, float).max(axis=1), weights=mesh.face_areas + 1e-300))
-        words += f" · {_percent(sure)} sure"
+        words += f" · {percent(sure)} sure"
         absent = [part for part, area in zip(names, areas, strict=True) if area == 0]
         if absent:
             words += f" · no {escape(', '.join(absent))}"
@@ -210,8 +178,8 @@ def fit(project: Any) -> str:
         ("corresponding points", summary.get("points")),
         ("stopped because", summary.get("stop_reason")),
     ]
-    rows = [[escape(words), _number(value)] for words, value in facts if value is not None]
-    return f"<div class=plots>{''.join(f'<figure>{p}</figure>' for p in plots)}{_table(rows)}</div>"
+    rows = [[escape(words), number(value)] for words, value in facts if value is not None]
+    return f"<div class=plots>{''.join(f'<figure>{p}</figure>' for p in plots)}{table(rows)}</div>"
 
 
 def recorded_energies(project: Any) -> list[float]:
@@ -272,7 +240,7 @@ def directions(project: Any) -> str:
             likeness.points_picture(ends[1], colours, WIDE),
         )
         words = ("low end", "what moves", "high end")
-        three = "".join(_image(p, f"{direction.name}, {w}") for p, w in zip(pictures, words, strict=True))
+        three = "".join(image(p, f"{direction.name}, {w}") for p, w in zip(pictures, words, strict=True))
         bars = svg.histogram(
             direction.histogram, direction.edges, title="shapes of the family along this slider", width=450
         )
@@ -304,51 +272,12 @@ def new_shapes(project: Any) -> str:
         from_ = ", ".join(f"{part} of {source}" for part, source in zip(names, made["sources"], strict=True) if source)
         measures = made["measures"]
         gap = measures.get("largest_gap")
-        said = f"largest gap {_number(gap)} diagonals" if gap is not None else ""
+        said = f"largest gap {100 * gap:.2f} % of size" if gap is not None else ""
         cards.append(
-            f"<figure class=card>{_image(picture, name)}<figcaption><b>{escape(name)}</b>"
+            f"<figure class=card>{image(picture, name)}<figcaption><b>{escape(name)}</b>"
             f"<small>{said}<br>{escape(from_)}</small></figcaption></figure>"
         )
     return f"<p class=legend>{_legend(project)}</p><div class='cards narrow'>{''.join(cards)}</div>" if cards else ""
-
-
-def measures(project: Any, measures: Mapping[str, Any] | None) -> str:
-    """Figures: those of ``validate`` when given, of the machine, of the new shapes."""
-    rows: list[list[str]] = [[escape(k), v] for k, v in flattened(measures or {})]
-    learnt = (project.stage_record("learn") or {}).get("summary") or {}
-    for key, words in (("train_error", "machine: training error, diagonals"),
-                       ("held_out_error", "machine: held-out error, diagonals")):  # fmt: skip
-        if learnt.get(key) is not None:
-            rows.append([words, _number(learnt[key])])
-    made = _synthesis_measures(project)
-    for key, words in (("largest_gap", "new shapes: largest gap between parts, diagonals (median)"),
-                       ("symmetry_error", "new shapes: symmetry error, diagonals (median)"),
-                       ("distance_from_draw", "new shapes: distance from the draw, diagonals (median)"),
-                       ("folded_triangles", "new shapes: folded triangle pairs (median)")):  # fmt: skip
-        values = [m[key] for m in made if m.get(key) is not None]
-        if values:
-            rows.append([words, _number(float(np.median(values)))])
-    return _table(rows, ("measure", "value")) if rows else ""
-
-
-def _synthesis_measures(project: Any) -> list[dict[str, Any]]:
-    from shapeforge.store_arrays import read_record
-
-    folder = project.current_folder("synthesize")
-    files = sorted((folder / "shapes").glob("*.zarr.zip")) if folder is not None else []
-    return [dict(read_record(file)[0]["measures"]) for file in files]
-
-
-def flattened(values: Mapping[str, Any], before: str = "") -> list[tuple[str, str]]:
-    """Nested mappings of figures as rows (words, ready HTML); lists and long texts are left out."""
-    rows: list[tuple[str, str]] = []
-    for key, value in values.items():
-        words = f"{before}{str(key).replace('_', ' ')}"
-        if isinstance(value, Mapping):
-            rows += flattened(value, f"{words}: ")
-        elif isinstance(value, bool | int | float | np.number) or (isinstance(value, str) and len(value) < 120):
-            rows.append((words, _number(value)))
-    return rows
 
 
 def problems(project: Any) -> str:
@@ -357,12 +286,4 @@ def problems(project: Any) -> str:
         [f'<b class="{p.kind}">{p.kind}</b>', escape(Path(p.file).name), escape(p.reason), escape(p.remedy)]
         for p in project.problems
     ]
-    return _table(rows, ("", "file", "what", "remedy")) if rows else ""
-
-
-def _number(value: Any) -> str:
-    if isinstance(value, bool | str):
-        return escape(str(value))
-    if not np.isfinite(float(value)):
-        return "–"
-    return svg.number(float(f"{float(value):.3g}")) if abs(value) < 1000 else f"{float(value):,.0f}"
+    return table(rows, ("", "file", "what", "remedy")) if rows else ""

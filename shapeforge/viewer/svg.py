@@ -43,18 +43,19 @@ def curve(
     ticks = nice_ticks(min(float(known.min()), 0.0) if from_zero else float(known.min()), float(known.max()))
     low, high = ticks[0], ticks[-1]
     x_low, x_high = float(x.min()), float(x.max()) if x.max() > x.min() else float(x.min()) + 1
-    inner = (width - LEFT - RIGHT, height - TOP - BOTTOM)
+    top = TOP + 20 * (len(series) > 1)  # room for the names
+    inner = (width - LEFT - RIGHT, height - top - BOTTOM)
 
     def place(a: float, b: float) -> tuple[float, float]:
         across = LEFT + (a - x_low) / (x_high - x_low) * inner[0]
-        return round(across, 1), round(TOP + (high - b) / (high - low) * inner[1], 1)
+        return round(across, 1), round(top + (high - b) / (high - low) * inner[1], 1)
 
     parts = [_start(title, width, height)]
     for tick in ticks:
         _, y = place(x_low, tick)
         parts.append(f'<line class="grid" x1="{LEFT}" x2="{width - RIGHT}" y1="{y}" y2="{y}"/>')
         parts.append(f'<text class="tick" x="{LEFT - 8}" y="{y + 4}" text-anchor="end">{number(tick)}</text>')
-    for tick in _whole_ticks(x_low, x_high):
+    for tick in _ticks_within(x_low, x_high):
         across, _ = place(tick, low)
         parts.append(
             f'<text class="tick" x="{across}" y="{height - BOTTOM + 18}" text-anchor="middle">{number(tick)}</text>'
@@ -69,7 +70,7 @@ def curve(
     parts.append(
         f'<text class="label" x="{LEFT + inner[0] / 2}" y="{height - 6}" text-anchor="middle">{escape(x_label)}</text>'
     )
-    middle = TOP + inner[1] / 2
+    middle = top + inner[1] / 2
     parts.append(
         f'<text class="label" x="14" y="{middle}" text-anchor="middle" transform="rotate(-90 14 {middle})">'
         f"{escape(y_label)}</text>"
@@ -78,8 +79,8 @@ def curve(
         across = width - RIGHT
         for one in reversed(series):
             across -= 7 * len(one.name) + 24
-            parts.append(f'<circle cx="{across}" cy="{TOP + 4}" r="4" fill="{one.colour}"/>')
-            parts.append(f'<text class="tick" x="{across + 8}" y="{TOP + 8}">{escape(one.name)}</text>')
+            parts.append(f'<circle cx="{across}" cy="{TOP}" r="4" fill="{one.colour}"/>')
+            parts.append(f'<text class="tick" x="{across + 8}" y="{TOP + 4}">{escape(one.name)}</text>')
     return "".join(parts) + "</svg>"
 
 
@@ -131,9 +132,15 @@ def nice_ticks(low: float, high: float, most: int = 6) -> list[float]:
     return [float(round(k * step, 12)) for k in range(int(first), int(last) + 1)]
 
 
-def _whole_ticks(low: float, high: float) -> list[float]:
-    step = max(1, int(np.ceil((high - low) / 10)))
-    return [float(k) for k in range(int(np.ceil(low)), int(high) + 1, step)]
+def _ticks_within(low: float, high: float) -> list[float]:
+    """Round numbers inside [low, high]; whole ones when there is room for several."""
+    if high - low >= 3:
+        step = max(1, int(np.ceil((high - low) / 10)))
+        return [float(k) for k in range(int(np.ceil(low)), int(high) + 1, step)]
+    inside = 1e-9 * max(high - low, 1e-12)
+    ticks = [tick for tick in nice_ticks(low, high) if low - inside <= tick <= high + inside]
+    whole = [tick for tick in ticks if tick == round(tick)]
+    return whole if high - low >= 1 and len(whole) > 1 else ticks
 
 
 def number(value: float) -> str:

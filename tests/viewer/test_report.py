@@ -14,7 +14,8 @@ from PIL import Image
 from shapeforge.viewer import likeness, svg
 from shapeforge.viewer.pictures import close_studio
 from shapeforge.viewer.report import chosen_shapes, report_text, write_report
-from shapeforge.viewer.report_sections import flattened, recorded_movement
+from shapeforge.viewer.report_measures import flattened
+from shapeforge.viewer.report_sections import recorded_movement
 from tests.viewer.learned_family import learned_family
 
 
@@ -117,9 +118,27 @@ def test_every_picture_has_words_and_a_size(whole):
         assert image["alt"] and (int(image["height"]), int(image["width"])) == picture.shape[:2]
 
 
-def test_measures_given_are_shown(whole):
-    text = report_text(whole, measures={"labels": {"faces": 0.912345, "n": 2}, "note": "two <shapes>"})
-    assert "labels: faces" in text and "0.912" in text and "two &lt;shapes&gt;" in text
+def test_measures_given_are_shown_beside_the_baseline(whole):
+    corr = {"0.05": 0.75, "0.1": 0.9}
+    figures = {
+        "left_out": ["chair <1>"],
+        "segmentation": {
+            "faces": 0.912345,
+            "n": 2,
+            "shapes": {"x": {"faces": 0.111}},
+            "affine_transfer": {"faces": 0.8},
+        },
+        "correspondence": {"corr": corr, "affine_transfer": {"corr": {"0.05": 0.5, "0.1": 0.6}}},
+        "other": {"what <it> is": 1234567.0},
+    }
+    text = report_text(whole, measures=figures)
+    Page(text)
+    row = re.search(r"<tr><td>faces with the true part</td>(.*?)</tr>", text).group(1)
+    assert re.findall(r"[\d.]+", row) == ["0.912", "0.800"]
+    assert "<td>corr@0.05</td><td class=n>0.750</td><td class=n>0.500</td>" in text
+    assert "0.111" not in text, "figures of single shapes would drown the rest"
+    assert "chair &lt;1&gt;" in text and "what &lt;it&gt; is" in text and "1\u202f234\u202f567" in text
+    assert "landmarks within it (%)" in text
     assert flattened({"a": {"b_c": 1.5}, "list": [1, 2]}) == [("a: b c", "1.5")]
 
 
