@@ -52,87 +52,89 @@ def build_tree(low, high, centre):
         stack[depth] = (middle, end, node)
         stack[depth + 1] = (begin, middle, -1)
         depth += 2
-    return order, node_low[:used].copy(), node_high[:used].copy(), first[:used].copy(), count[:used].copy(), right[:used].copy()  # fmt: skip
+    parts = node_low[:used].copy(), node_high[:used].copy(), first[:used].copy(), count[:used].copy()
+    return order, parts[0], parts[1], parts[2], parts[3], right[:used].copy()
 
 
 @njit(cache=True, nogil=True)
-def closest_on_triangle(p, a, b, c, out):
-    """Closest point of triangle abc to p (Ericson, Real-Time Collision Detection 5.1.5); returns squared distance."""
-    ab, ac, ap = b - a, c - a, p - a
-    d1, d2 = ab @ ap, ac @ ap
+def closest_on_triangle(px, py, pz, corner):
+    """Closest point (x, y, z) of a triangle, corner (3,3), to p (Ericson, Real-Time Collision Detection 5.1.5).
+
+    In scalars throughout: small temporary arrays cost more than the arithmetic.
+    """
+    ax, ay, az = corner[0, 0], corner[0, 1], corner[0, 2]
+    ux, uy, uz = corner[1, 0] - ax, corner[1, 1] - ay, corner[1, 2] - az
+    vx, vy, vz = corner[2, 0] - ax, corner[2, 1] - ay, corner[2, 2] - az
+    wx, wy, wz = px - ax, py - ay, pz - az
+    d1, d2 = ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
     if d1 <= 0.0 and d2 <= 0.0:
-        out[:] = a
+        return ax, ay, az
+    uu, uv, vv = ux * ux + uy * uy + uz * uz, ux * vx + uy * vy + uz * vz, vx * vx + vy * vy + vz * vz
+    d3, d4 = d1 - uu, d2 - uv
+    if d3 >= 0.0 and d4 <= d3:
+        return corner[1, 0], corner[1, 1], corner[1, 2]
+    vc = d1 * d4 - d3 * d2
+    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0 and uu > 0.0:
+        s = d1 / uu
+        return ax + s * ux, ay + s * uy, az + s * uz
+    d5, d6 = d1 - uv, d2 - vv
+    if d6 >= 0.0 and d5 <= d6:
+        return corner[2, 0], corner[2, 1], corner[2, 2]
+    vb = d5 * d2 - d1 * d6
+    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0 and vv > 0.0:
+        t = d2 / vv
+        return ax + t * vx, ay + t * vy, az + t * vz
+    va = d3 * d6 - d5 * d4
+    along = (d4 - d3) + (d5 - d6)
+    if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0 and along > 0.0:
+        t = (d4 - d3) / along
+        s = 1.0 - t
     else:
-        bp = p - b
-        d3, d4 = ab @ bp, ac @ bp
-        if d3 >= 0.0 and d4 <= d3:
-            out[:] = b
-        else:
-            vc = d1 * d4 - d3 * d2
-            if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0 and d1 - d3 > 0.0:
-                out[:] = a + (d1 / (d1 - d3)) * ab
-            else:
-                cp = p - c
-                d5, d6 = ab @ cp, ac @ cp
-                if d6 >= 0.0 and d5 <= d6:
-                    out[:] = c
-                else:
-                    vb = d5 * d2 - d1 * d6
-                    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0 and d2 - d6 > 0.0:
-                        out[:] = a + (d2 / (d2 - d6)) * ac
-                    else:
-                        va = d3 * d6 - d5 * d4
-                        if va <= 0.0 and (d4 - d3) >= 0.0 and (d5 - d6) >= 0.0 and (d4 - d3) + (d5 - d6) > 0.0:
-                            out[:] = b + ((d4 - d3) / ((d4 - d3) + (d5 - d6))) * (c - b)
-                        else:
-                            total = va + vb + vc
-                            if total > 0.0:
-                                out[:] = a + ab * (vb / total) + ac * (vc / total)
-                            else:  # no area and no edge region: any corner will do
-                                out[:] = a
-    difference = p - out
-    return difference @ difference
+        total = va + vb + vc
+        if total <= 0.0:  # no area and no edge region: any corner will do
+            return ax, ay, az
+        s, t = vb / total, vc / total
+    return ax + s * ux + t * vx, ay + s * uy + t * vy, az + s * uz + t * vz
 
 
 @njit(cache=True, nogil=True)
-def closest_points(vertices, triangles, order, node_low, node_high, first, count, right, queries, positions, triangle):
-    """Closest surface point, its triangle and its distance for every query (n,3)."""
+def box_gap(low, high, node, px, py, pz):
+    """Squared distance of a point to a node's box."""
+    x = max(low[node, 0] - px, 0.0, px - high[node, 0])
+    y = max(low[node, 1] - py, 0.0, py - high[node, 1])
+    z = max(low[node, 2] - pz, 0.0, pz - high[node, 2])
+    return x * x + y * y + z * z
+
+
+@njit(cache=True, nogil=True)
+def closest_points(corners, order, node_low, node_high, first, count, right, queries, positions, triangle):
+    """Closest surface point, its triangle and its distance for every query (n,3); ``corners`` (N,3,3)."""
     distance = np.empty(queries.shape[0])
     stack = np.empty(128, np.int64)
-    candidate = np.empty(3)
     for i in range(queries.shape[0]):
-        p = queries[i]
+        px, py, pz = queries[i, 0], queries[i, 1], queries[i, 2]
         best = np.inf
         stack[0] = 0
         depth = 1
         while depth > 0:
             depth -= 1
             node = stack[depth]
-            gap = 0.0
-            for axis in range(3):
-                outside = max(node_low[node, axis] - p[axis], 0.0, p[axis] - node_high[node, axis])
-                gap += outside * outside
-            if gap >= best:
+            if box_gap(node_low, node_high, node, px, py, pz) >= best:
                 continue
             if count[node] > 0:
                 for j in range(first[node], first[node] + count[node]):
                     t = order[j]
-                    squared = closest_on_triangle(
-                        p, vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]], candidate
-                    )
+                    x, y, z = closest_on_triangle(px, py, pz, corners[t])
+                    squared = (px - x) ** 2 + (py - y) ** 2 + (pz - z) ** 2
                     if squared < best:
                         best = squared
-                        positions[i] = candidate
+                        positions[i, 0], positions[i, 1], positions[i, 2] = x, y, z
                         triangle[i] = t
                 continue
             left, other = node + 1, right[node]
             # the nearer child last, so that it is looked at first
-            left_gap, right_gap = 0.0, 0.0
-            for axis in range(3):
-                outside = max(node_low[left, axis] - p[axis], 0.0, p[axis] - node_high[left, axis])
-                left_gap += outside * outside
-                outside = max(node_low[other, axis] - p[axis], 0.0, p[axis] - node_high[other, axis])
-                right_gap += outside * outside
+            left_gap = box_gap(node_low, node_high, left, px, py, pz)
+            right_gap = box_gap(node_low, node_high, other, px, py, pz)
             if left_gap <= right_gap:
                 stack[depth], stack[depth + 1] = other, left
             else:

@@ -21,10 +21,8 @@ def closest_points(
     queries = np.ascontiguousarray(queries, np.float64)
     if not np.isfinite(queries).all():
         raise ValueError("queries: wanted finite positions, got NaN or infinity; leave absent points out")
-    vertices = np.ascontiguousarray(mesh.vertices, np.float64)
-    triangles = np.ascontiguousarray(mesh.triangles, np.int64)
-    corners = vertices[triangles]
+    corners = np.ascontiguousarray(mesh.vertices[mesh.triangles], np.float64)
     tree = _kernels_surface.build_tree(corners.min(axis=1), corners.max(axis=1), corners.mean(axis=1))
     positions, triangle = np.empty_like(queries), np.empty(len(queries), np.int64)
-    distance = _kernels_surface.closest_points(vertices, triangles, *tree, queries, positions, triangle)
+    distance = _kernels_surface.closest_points(corners, *tree, queries, positions, triangle)
     return positions, triangle, distance
