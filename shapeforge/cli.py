@@ -342,25 +342,9 @@ def info(path: ProjectPath, as_json: Json = False) -> None:
 @app.command()
 def view(path: Annotated[Path | None, typer.Argument(metavar="[PROJECT]", help="Project to open.")] = None) -> None:
     """Open the window."""
-    open_window(path)
+    from shapeforge.viewer import open_window
 
-
-def open_window(path: Path | None) -> None:
-    """Open the window and stay until it is closed; a clear error when there is no screen."""
-    if not has_screen():
-        raise RuntimeError("there is no screen (DISPLAY and WAYLAND_DISPLAY are empty). Use shapeforge report instead")
-    from shapeforge.viewer.qt.window import main as open_main_window
-
-    status = open_main_window(path)
-    if status:
-        raise typer.Exit(int(status))
-
-
-def has_screen() -> bool:
-    """Whether a window could be shown here."""
-    import os
-
-    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    raise typer.Exit(open_window(path))
 
 
 @app.command()
@@ -380,8 +364,13 @@ def demo(
     summary = run_demo(folder, family=family, count=count, points=points, seed=seed, jobs=jobs)
     if as_json:
         print_json({"verb": "demo", **summary})
-    if window and has_screen():
-        open_window(Path(summary["project"]))
+    from shapeforge.viewer import missing_graphics, open_window
+
+    problem = missing_graphics()
+    if window and not problem:
+        raise typer.Exit(open_window(Path(summary["project"])))
+    if window:
+        typer.echo(f"No window: {problem}", err=True)
 
 
 if __name__ == "__main__":
