@@ -253,6 +253,24 @@ def test_a_killed_import_goes_on(family: Path, grouped: Project, tmp_path: Path,
         assert np.array_equal(mine.points, other.points) and np.array_equal(mine.descriptors, other.descriptors)
 
 
+def test_a_stopped_learning_goes_on(done: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from shapeforge import stages_model
+
+    monkeypatch.setattr(stages_model, "SECONDS_BETWEEN_CHECKPOINTS", 0.0)
+    project = copy_of(done, tmp_path / "p")
+    before = project.machine()
+    steps = run(project, "learn", epochs=60)
+    for step in steps:
+        if step.phase == "fine-tune":
+            break
+    steps.send(None)  # the checkpoint of the first step is written, the second step is reported
+    steps.close()
+    assert states(project)["learn"] == "partial" and np.array_equal(project.machine().bias3, before.bias3)
+    again = list(run(project, "learn"))
+    assert again[0].message.startswith("goes on") and all(not step.phase.startswith("layer") for step in again)
+    assert states(project)["learn"] == "done" and not np.array_equal(project.machine().bias3, before.bias3)
+
+
 def test_a_watched_fit_equals_an_unwatched_one_whatever_the_workers(done: Project, tmp_path: Path) -> None:
     for jobs in (1, 3):
         project = copy_of(done, tmp_path / f"jobs{jobs}")
