@@ -43,7 +43,7 @@ def fit(task: Task) -> Iterator[Progress]:
             yield task.progress("fit", state.round, state.of, f"goes on after round {state.round}", state=state)
         for state in states:
             write_record(checkpoint, state)
-            write_round(folder / "rounds" / f"{state.round:03d}.zarr.zip", state.beliefs)
+            write_round(folder / "rounds" / f"{state.round:03d}.zarr.zip", state)
             yield task.progress("fit", state.round, state.of, _round_text(state), state=state)
     if state is None:
         raise StageError("the fit made no round; wanted rounds of at least 1")

@@ -143,6 +143,17 @@ class Results:
             found.append(arrays["deformed"][start:stop])
         return found
 
+    def round_figures(self) -> list[dict[str, Any]]:
+        """Per recorded round: ``energy`` (nats a point), ``change``, ``sigma`` (L,) (diagonals), ``template`` (T,)."""
+        folder = self.current_folder(self.fit_stage)
+        found = []
+        for path in sorted((folder / "rounds").glob("*.zarr.zip")) if folder is not None else ():
+            arrays, _ = read_arrays(path)
+            if "energy" in arrays:
+                figures = {key: arrays[key] for key in ("sigma", "template")}
+                found.append(figures | {key: float(arrays[key]) for key in ("energy", "change")})
+        return found
+
     # -- the machine -----------------------------------------------------------------------------------------------
 
     @property
@@ -196,11 +207,21 @@ def write_names(path: Path, names: tuple[str, ...]) -> None:
     write_record(path, {"names": names})
 
 
-def write_round(path: Path, beliefs: tuple[Any, ...]) -> None:
-    """Record the deformed template points of every shape after a round, in float16 (1e-3 diagonals or better)."""
+def write_round(path: Path, state: Any) -> None:
+    """Record a round: every shape's deformed template points in float16 (1e-3 diagonals or better), and its figures."""
+    beliefs = state.beliefs
     deformed = [np.asarray(belief.deformed, np.float16) for belief in beliefs]
-    lengths = np.array([len(points) for points in deformed], np.int64)
-    write_arrays(path, {"deformed": np.concatenate(deformed), "lengths": lengths})
+    write_arrays(
+        path,
+        {
+            "deformed": np.concatenate(deformed),
+            "lengths": np.array([len(points) for points in deformed], np.int64),
+            "template": np.array([belief.template for belief in beliefs], np.int64),
+            "energy": np.array(state.energy, np.float64),
+            "change": np.array(state.change, np.float64),
+            "sigma": np.asarray(state.sigma_by_part, np.float64),
+        },
+    )
 
 
 @lru_cache(maxsize=64)

@@ -97,7 +97,7 @@ class BetaShapeMachine:
     def coordinates(self, values: Float[np.ndarray, "n K 3"], part: int) -> Float[np.ndarray, "n F"]:
         """The coordinates (n, F_l) of one part, in the machine's precision."""
         chosen = values[:, self.points_of_part[part]]
-        return chosen.reshape(len(values), -1).astype(self.bias1.dtype, copy=False)
+        return chosen.reshape(len(values), 3 * chosen.shape[1]).astype(self.bias1.dtype, copy=False)
 
     def to_positions(
         self, values: Float[np.ndarray, "n K 3"], exists: Bool[np.ndarray, "n L"]

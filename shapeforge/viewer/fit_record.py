@@ -61,7 +61,11 @@ class FitRecord:
         if state is None:
             return
         self._keep(state)
-        self.rounds = {int(state.round): record_round(state, self.project.names, (), None)}
+        last = record_round(state, self.project.names, (), None)
+        self.rounds = {
+            number: Round(number, last.of, figures["energy"], figures["change"], figures["sigma"])
+            for number, figures in enumerate(self.project.round_figures()[: last.number])
+        } | {last.number: last}
 
     @property
     def newest(self) -> int:

@@ -161,7 +161,7 @@ def fit(project: Any) -> str:
     energies = recorded_energies(project)
     if len(energies) > 1:
         plots.append(
-            svg.curve(range(len(energies)), [svg.Series("energy", energies)], x_label="round",
+            svg.curve(range(1, len(energies) + 1), [svg.Series("energy", energies)], x_label="round",
                       y_label="energy (nats a point)", title="Energy of the fit by round")
         )  # fmt: skip
     moved = recorded_movement(project)
@@ -183,20 +183,8 @@ def fit(project: Any) -> str:
 
 
 def recorded_energies(project: Any) -> list[float]:
-    """Energy (nats a point) after every recorded round of the fit; only the last where rounds have none on disk."""
-    from shapeforge.store_arrays import read_arrays
-
-    folder = project.current_folder(project.fit_stage)
-    found = []
-    for file in sorted((folder / "rounds").glob("*.zarr.zip")) if folder is not None else ():
-        arrays, attributes = read_arrays(file)
-        value = arrays.get("energy", attributes.get("energy"))
-        if value is not None:
-            found.append(float(np.asarray(value)))
-    if not found:
-        summary = (project.stage_record(project.fit_stage) or {}).get("summary") or {}
-        found = [float(e) for e in summary.get("energies") or ([summary["energy"]] if summary.get("energy") else [])]
-    return found
+    """Energy (nats a point) after every recorded round of the fit; the affine start has none."""
+    return [figures["energy"] for figures in project.round_figures() if np.isfinite(figures["energy"])]
 
 
 def recorded_movement(project: Any) -> np.ndarray:
