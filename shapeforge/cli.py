@@ -289,13 +289,13 @@ def report(
         print_json({"verb": "report", "project": str(path), "out": str(written)})
 
 
-def write_report(project: Any, out: Path) -> Path:
-    """The report of a project at ``out``; errors go to the project's log."""
+def write_report(project: Any, out: Path, measures: dict[str, Any] | None = None) -> Path:
+    """The report of a project at ``out``, with what ``validate`` measured; errors go to the project's log."""
     from shapeforge.viewer.report import write_report as write
 
     try:
         out.absolute().parent.mkdir(parents=True, exist_ok=True)
-        write(project, out)
+        write(project, out, measures=measures)
     except Exception as error:
         project.log(f"report: {error}", error)
         raise

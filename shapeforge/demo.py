@@ -37,7 +37,7 @@ def run_demo(
         latest = follow(project, stages.run(project, stage, jobs=jobs, **options), stage)
         typer.echo(f"{stage}: {latest.message}")
 
-    step("import", meshes=[truth], points=points, seed=seed)
+    step("import", meshes=[truth], points=points, up="keep", seed=seed)
     step("group", seed=seed)
     step("label", labels=truth, only="exemplars")
     step("fit", rounds=ROUNDS, seed=seed)
@@ -60,7 +60,7 @@ def run_demo(
     typer.echo(stages_validation.table(measured))
     summary = {"folder": str(folder), "project": str(project.path), "validation": measured}
     try:
-        summary["report"] = str(write_report(project, folder / "report.html"))
+        summary["report"] = str(write_report(project, folder / "report.html", measured))
         typer.echo(f"report: {summary['report']}")
     except Exception as error:  # pictures need GL; all the rest is there without them
         typer.echo(f"report: not written: {one_line(error)}", err=True)
