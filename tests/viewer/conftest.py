@@ -81,6 +81,7 @@ def open_window(qtbot) -> Iterator[Callable]:
 
     def make(project: Project | None = None, place: str = "collection") -> Window:
         window = Window()
+        window.move(0, 0)
         opened.append(window)
         if project is not None:
             window.session.open(project)
