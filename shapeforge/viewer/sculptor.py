@@ -417,7 +417,7 @@ class MeshWorker:
             if not closed:
                 self._arrived()
 
-    def _make(self, wish: int, points: np.ndarray, exists: Int[np.ndarray, " L"], preview: bool) -> Made:
+    def _make(self, wish: int, points: np.ndarray, exists: Bool[np.ndarray, " L"], preview: bool) -> Made:
         from shapeforge.stages_synthesis import sources_of
         from shapeforge.synthesis.retrieve import retrieve
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from PySide6.QtCore import QObject, Qt, QTimer, Signal
 from PySide6.QtGui import QPixmap
-from PySide6.QtWidgets import QFrame, QGridLayout, QMenu, QWidget
+from PySide6.QtWidgets import QFrame, QMenu, QWidget
 
 from shapeforge.viewer.actions import YES, Action, Actions
 from shapeforge.viewer.display import Mark, View
@@ -160,14 +160,9 @@ class SynthesizePlace:
                 spacing=0,
             )
         )
-        self.part_grid = QGridLayout()
-        self.part_grid.setHorizontalSpacing(16)
-        self.part_grid.setVerticalSpacing(8)
+        self.part_rows = column(spacing=8)
         self.part_note = label("", "caption_off", wrap=True)
-        grid = QWidget()
-        grid.setLayout(self.part_grid)
-        self.part_grid.setContentsMargins(0, 0, 0, 0)
-        parts = section(label("Parts", "heading"), grid, self.part_note, line=False)
+        parts = section(label("Parts", "heading"), self.part_rows, self.part_note, line=False)
         self.export = action_button(self.actions, "export_mesh", self.binding, kind="primary")
         foot = QFrame()
         foot.setObjectName("bar")
@@ -256,11 +251,12 @@ class SynthesizePlace:
 
     def _fill_parts(self) -> None:
         sculptor = self.sculptor
-        clear(self.part_grid)
+        clear(self.part_rows)
         self.switches: dict[int, Switch] = {}
         always, seen = sculptor.always(), sculptor.seen()
         shown = [part for part in range(len(sculptor.part_names)) if seen[part]]
-        for place, part in enumerate(shown):
+        holders: list[QWidget] = []
+        for part in shown:
             colour = "#{:02X}{:02X}{:02X}".format(*part_colours(len(sculptor.part_names))[part])
             switch = Switch(True, "Every shape of the family has it" if always[part] else "Switch this part on or off")
             switch.setEnabled(not always[part])
@@ -269,7 +265,12 @@ class SynthesizePlace:
             self.switches[part] = switch
             holder = QWidget()
             holder.setLayout(row(Swatch(colour), 2, label(sculptor.part_names[part]), None, switch, spacing=6))
-            self.part_grid.addWidget(holder, place // 2, place % 2)
+            holders.append(holder)
+        for pair in zip(holders[::2], [*holders[1::2], QWidget()], strict=False):
+            line = row(*pair, spacing=16)
+            line.setStretch(0, 1)
+            line.setStretch(1, 1)
+            self.part_rows.addLayout(line)
         fixed = [sculptor.part_names[part] for part in shown if always[part]]
         words = " and ".join(([", ".join(fixed[:-1])] if fixed[:-1] else []) + fixed[-1:])
         self.part_note.setText(f"{words.capitalize()}: on every shape of the family." if fixed else "")
