@@ -10,12 +10,28 @@ import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
-from weakref import WeakKeyDictionary
 
+from shapeforge.viewer.readiness import (
+    YES,
+    Verdict,
+    group_of,
+    groups_of,
+    needs_project,
+    needs_rest,
+    next_to_paint,
+    place_mark,
+    place_verdict,
+    stage_status,
+    stage_verdict,
+    unpainted_exemplars,
+)
+from shapeforge.viewer.regroup import can_leave_out, can_make_exemplar, leave_out, make_exemplar
 from shapeforge.viewer.session import PLACES, Session
 
-Verdict = tuple[bool, str]
-YES: Verdict = (True, "")
+__all__ = [
+    "MESH_ENDINGS", "PLACE_NAMES", "YES", "Action", "Actions", "Desk", "Verdict", "free_folder", "group_of", "groups_of",
+    "next_to_paint", "place_mark", "place_verdict", "unpainted_exemplars",
+]  # fmt: skip
 
 PLACE_NAMES: dict[str, str] = {
     "collection": "Collection",
@@ -66,7 +82,6 @@ class Actions(Mapping[str, Action]):
     def __init__(self, session: Session, desk: Desk) -> None:
         self.session, self.desk = session, desk
         self._table: dict[str, Action] = {}
-        self._status: tuple[object, int, dict[str, Any]] | None = None
         for action in _project_actions(self) + _stage_actions(self) + _view_actions(self) + _collection_actions(self):
             self.add(action)
 
@@ -105,17 +120,6 @@ class Actions(Mapping[str, Action]):
             self.session.say(sentence(error), "error")
             return False
         return True
-
-    def stage_status(self) -> Mapping[str, Any]:
-        """``stages.status`` of the project, asked again only when its data changed; empty without a project."""
-        session = self.session
-        if session.project is None:
-            return {}
-        if self._status is None or self._status[:2] != (session.project, session.revision):
-            from shapeforge import stages
-
-            self._status = (session.project, session.revision, dict(stages.status(session.project)))
-        return self._status[2]
 
     def open_project(self, path: Path) -> None:
         """Open the project in ``path`` (a folder); `store.ProjectError` says what is wrong with it."""
@@ -169,115 +173,6 @@ def free_folder(parent: Path, name: str) -> Path:
         number += 1
         path = parent / f"{name} {number}"
     return path
-
-
-# -- what has to be true ---------------------------------------------------------------------------------------------
-
-
-def needs_project(session: Session) -> Verdict:
-    """A project is open."""
-    return YES if session.project is not None else (False, "Open a project first.")
-
-
-def needs_rest(session: Session) -> Verdict:
-    """A project is open and nothing runs."""
-    if session.project is None:
-        return needs_project(session)
-    if session.running:
-        return False, f"Wait until {session.stage or 'the present stage'} is done, or stop it."
-    return YES
-
-
-_groups_read: WeakKeyDictionary[Any, tuple[Any, Any]] = WeakKeyDictionary()
-
-
-def groups_of(session: Session) -> Any:
-    """The project's groups (None without), read from disk only when they changed."""
-    project = session.project
-    if project is None:
-        return None
-    stamp = (project.groups_key, project.names)
-    kept = _groups_read.get(project)
-    if kept is None or kept[0] != stamp:
-        kept = _groups_read[project] = (stamp, project.groups)
-    return kept[1]
-
-
-def unpainted_exemplars(session: Session) -> tuple[str, ...]:
-    """Names of the exemplars without any labels."""
-    project = session.project
-    groups = groups_of(session)
-    if groups is None:
-        return ()
-    labelled = set(project.labelled)
-    return tuple(project.names[i] for i in groups.exemplars if project.names[i] not in labelled)
-
-
-def next_to_paint(session: Session) -> str | None:
-    """The first exemplar without labels, None when all are painted."""
-    names = unpainted_exemplars(session)
-    return names[0] if names else None
-
-
-def _stage_verdict(actions: Actions, stage: str) -> Verdict:
-    can, why = needs_rest(actions.session)
-    if not can:
-        return can, why
-    status = actions.stage_status().get(stage)
-    if status is not None and status.state == "locked":
-        return False, status.reason
-    return YES
-
-
-def place_verdict(actions: Actions, place: str) -> Verdict:
-    """Whether a place can be entered and, when not, why not."""
-    session = actions.session
-    if session.project is None:
-        return needs_project(session)
-    status = actions.stage_status()
-    if place == "collection":
-        return YES
-    if place == "paint":
-        return YES if session.project.names else (False, "Import shapes first.")
-    if place == "fit":
-        found = status.get("fit")
-        return (False, found.reason) if found is not None and found.state == "locked" else YES
-    needed = {"correspondence": ("fit", "Fit the family first."), "synthesize": ("learn", "Learn the family first.")}
-    stage, why = needed[place]
-    found = status.get(stage)
-    if place == "synthesize" and session.project.machine() is None and (found is None or found.state == "locked"):
-        return False, (found.reason if found else why)
-    if place == "correspondence" and not session.project.fit_names:
-        return False, why
-    return YES
-
-
-def place_mark(actions: Actions, place: str) -> tuple[str, str]:
-    """Mark of a place in the rail ("done", "running", "stale", "locked" or ""), and the sentence that explains it."""
-    session = actions.session
-    own = {"collection": ("import", "group"), "paint": ("label", "cosegment"), "fit": ("fit",),
-           "correspondence": (), "synthesize": ("learn", "refine", "synthesize")}[place]  # fmt: skip
-    if session.running and session.stage in own:
-        return "running", f"{session.stage} is running"
-    can, why = place_verdict(actions, place)
-    if not can:
-        return "locked", why
-    status = actions.stage_status()
-    if place == "paint":
-        groups = groups_of(session)
-        left = unpainted_exemplars(session)
-        if groups is None:
-            return "", ""
-        return ("done", "Every exemplar is painted") if not left else ("", f"{len(left)} exemplars to paint")
-    stage = {"collection": "group", "fit": "fit", "correspondence": "fit", "synthesize": "learn"}[place]
-    found = status.get(stage)
-    if found is None:
-        return "", ""
-    if found.state == "done":
-        return "done", "Done"
-    if found.state == "stale":
-        return "stale", found.reason
-    return "", found.reason
 
 
 # -- the table -------------------------------------------------------------------------------------------------------
@@ -338,7 +233,7 @@ def _stage_actions(actions: Actions) -> list[Action]:
     def fit_enabled(session: Session) -> Verdict:
         if session.running and session.stage == "fit":
             return YES
-        return _stage_verdict(actions, "fit")
+        return stage_verdict(actions.session, "fit")
 
     def run_or_pause(session: Session) -> None:
         if session.running:
@@ -347,7 +242,7 @@ def _stage_actions(actions: Actions) -> list[Action]:
             actions.start_stage("fit", restart=is_done("fit"))
 
     def is_done(stage: str) -> bool:
-        found = actions.stage_status().get(stage)
+        found = stage_status(actions.session).get(stage)
         return found is not None and found.state == "done"
 
     def step(session: Session) -> None:
@@ -358,18 +253,18 @@ def _stage_actions(actions: Actions) -> list[Action]:
             actions.desk.control("step")
 
     return [
-        Action("group", "Group the shapes", starter("group"), lambda s: _stage_verdict(actions, "group"), "",
+        Action("group", "Group the shapes", starter("group"), lambda s: stage_verdict(s, "group"), "",
                "Find groups of similar shapes and an exemplar of each", "collection"),
         Action("cosegment", "First parts automatically", starter("cosegment"),
-               lambda s: _stage_verdict(actions, "cosegment"), "", "Propose parts without painting", "piece"),
+               lambda s: stage_verdict(s, "cosegment"), "", "Propose parts without painting", "piece"),
         Action("fit", "Run", run_or_pause, fit_enabled, "Space",
                "Fit the part templates to every shape; it can be paused and goes on where it was", "play", "fit"),
         Action("step", "Step", step, fit_enabled, ".", "One round, then pause", "step", "fit"),
         Action("stop", "Stop", lambda session: actions.desk.control("stop"), running, "Ctrl+.",
                "Stop after the present step; what is done is kept", "stop"),
-        Action("learn", "Learn the family", starter("learn"), lambda s: _stage_verdict(actions, "learn"), "",
+        Action("learn", "Learn the family", starter("learn"), lambda s: stage_verdict(s, "learn"), "",
                "Learn the generative model from the fitted shapes", "synthesize"),
-        Action("refine", "Refine", starter("refine"), lambda s: _stage_verdict(actions, "refine"), "",
+        Action("refine", "Refine", starter("refine"), lambda s: stage_verdict(s, "refine"), "",
                "Fit and learn in turns, three times", "swap"),
     ]  # fmt: skip
 
@@ -396,7 +291,7 @@ def _view_actions(actions: Actions) -> list[Action]:
         return lambda session: setattr(session, "place", place)
 
     places = [
-        Action(f"go_{place}", PLACE_NAMES[place], goer(place), lambda s, place=place: place_verdict(actions, place),
+        Action(f"go_{place}", PLACE_NAMES[place], goer(place), lambda s, place=place: place_verdict(s, place),
                f"Ctrl+{number}", "", place)
         for number, place in enumerate(PLACES, start=1)
     ]  # fmt: skip
@@ -444,74 +339,3 @@ def _can_paint_next(session: Session) -> Verdict:
 def _paint_next(session: Session) -> None:
     session.shape = next_to_paint(session)
     session.place = "paint"
-
-
-def group_of(session: Session, name: str | None) -> int:
-    """Number of the group of a shape; -1 when it has none (left out, or nothing is grouped)."""
-    groups = groups_of(session)
-    if groups is None or name not in session.project.names:
-        return -1
-    return int(groups.group[session.project.names.index(name)])
-
-
-def can_make_exemplar(session: Session) -> Verdict:
-    """The selected shape belongs to a group that another stands for."""
-    can, why = needs_rest(session)
-    if not can:
-        return can, why
-    if session.shape is None:
-        return False, "Select a shape first."
-    g = group_of(session, session.shape)
-    if g < 0:
-        return False, f"{session.shape} belongs to no group."
-    if session.project.names[groups_of(session).exemplars[g]] == session.shape:
-        return False, f"{session.shape} is the exemplar already."
-    return YES
-
-
-def make_exemplar(session: Session) -> None:
-    """Let the selected shape stand for its group; can be undone."""
-    project, name = session.project, session.shape
-    g = group_of(session, name)
-    before = groups_of(session)
-    exemplars = before.exemplars.copy()
-    exemplars[g] = project.names.index(name)
-    _change_groups(session, f"exemplar {name}", before, dataclasses.replace(before, exemplars=exemplars))
-    session.say(f"{name} is the exemplar of {before.names[g]}", "ok")
-
-
-def can_leave_out(session: Session) -> Verdict:
-    """The selected shape is grouped and no exemplar (or was left out: then it can be put back)."""
-    can, why = needs_rest(session)
-    if not can:
-        return can, why
-    if session.shape is None or groups_of(session) is None:
-        return False, "Select a grouped shape first."
-    if session.project.names.index(session.shape) in groups_of(session).exemplars:
-        return False, f"{session.shape} is an exemplar: choose another one for its group first."
-    return YES
-
-
-def leave_out(session: Session) -> None:
-    """Take the selected shape out of its group; a shape left out joins the group of its nearest neighbour again."""
-    import numpy as np
-
-    project, name = session.project, session.shape
-    t, before = project.names.index(name), groups_of(session)
-    group = before.group.copy()
-    if group[t] >= 0:
-        group[t] = -1
-        text = f"leave out {name}"
-    else:
-        distance = np.linalg.norm(before.embedding[before.exemplars] - before.embedding[t], axis=1)
-        group[t] = int(distance.argmin())
-        text = f"put back {name}"
-    _change_groups(session, text, before, dataclasses.replace(before, group=group))
-
-
-def _change_groups(session: Session, label: str, before: Any, after: Any) -> None:
-    def put(groups: Any) -> None:
-        session.project.set_groups(groups)
-        session.touch("groups")
-
-    session.do(label, lambda: put(after), lambda: put(before))

@@ -116,29 +116,29 @@ def test_a_folder_that_is_taken_gets_a_number(tmp_path):
 
 def test_places_open_one_after_the_other(actions, grouped, meshes):
     session = actions.session
-    assert {place_mark(actions, place)[0] for place in PLACES} == {"locked"}
+    assert {place_mark(actions.session, place)[0] for place in PLACES} == {"locked"}
     session.open(grouped)
-    assert place_mark(actions, "collection") == ("done", "Done")
-    assert place_verdict(actions, "paint")[0]
-    can, why = place_verdict(actions, "fit")
+    assert place_mark(actions.session, "collection") == ("done", "Done")
+    assert place_verdict(actions.session, "paint")[0]
+    can, why = place_verdict(actions.session, "fit")
     assert not can and "labels" in why
     for place in ("correspondence", "synthesize"):
-        assert place_mark(actions, place)[0] == "locked"
+        assert place_mark(actions.session, place)[0] == "locked"
     paint_exemplars(grouped, meshes)
     session.touch("labels")
-    assert place_verdict(actions, "fit")[0]
-    assert place_mark(actions, "paint")[0] == "done"
+    assert place_verdict(actions.session, "fit")[0]
+    assert place_mark(actions.session, "paint")[0] == "done"
 
 
 def test_a_changed_exemplar_makes_the_fit_stale(actions, fitted):
     session = actions.session
     session.open(fitted)
-    assert place_mark(actions, "fit")[0] == "done"
+    assert place_mark(actions.session, "fit")[0] == "done"
     groups = fitted.groups
     g = int(np.argmax([len(groups.members(g)) for g in range(len(groups))]))
     session.shape = next(fitted.names[t] for t in groups.members(g) if t != groups.exemplars[g])
     assert actions.run("make_exemplar")
-    mark, why = place_mark(actions, "fit")
+    mark, why = place_mark(actions.session, "fit")
     assert mark == "stale" and "group" in why
 
 

@@ -13,7 +13,6 @@ from PySide6.QtWidgets import QFrame, QProgressBar, QScrollArea, QWidget
 
 from shapeforge.viewer.actions import (
     Actions,
-    can_make_exemplar,
     group_of,
     groups_of,
     next_to_paint,
@@ -44,6 +43,7 @@ from shapeforge.viewer.qt.widgets import (
     section,
     separator,
 )
+from shapeforge.viewer.regroup import can_make_exemplar
 from shapeforge.viewer.runner import duration
 from shapeforge.viewer.session import Session
 

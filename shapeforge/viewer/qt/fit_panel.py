@@ -50,6 +50,7 @@ from shapeforge.viewer.qt.widgets import (
     separator,
     set_style,
 )
+from shapeforge.viewer.readiness import stage_status
 from shapeforge.viewer.runner import duration
 from shapeforge.viewer.session import Session
 
@@ -528,7 +529,7 @@ class FitPlace:
             return
         session, progress = self.session, self.session.progress
         mine = session.running and session.stage == "fit"
-        done = not session.running and self.actions.stage_status().get("fit")
+        done = not session.running and stage_status(session).get("fit")
         finished = bool(done) and done.state == "done"
         going_on = bool(done) and done.state == "partial"
         words = "Resume" if mine and session.is_paused else "Pause" if mine else "Go on" if going_on else "Run"

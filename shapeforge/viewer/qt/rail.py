@@ -127,7 +127,7 @@ class Rail(QWidget):
     def _show(self) -> None:
         session = self._actions.session
         for number, (place, one) in enumerate(self.places.items(), start=1):
-            mark, why = place_mark(self._actions, place)
+            mark, why = place_mark(session, place)
             one.set_mark(mark)
             one.setChecked(session.project is not None and place == session.place)
             text = f"{PLACE_NAMES[place]}  ({native(f'Ctrl+{number}')})"

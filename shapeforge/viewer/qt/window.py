@@ -186,7 +186,7 @@ class Window(QWidget):
             self.start_page.setFocus(Qt.FocusReason.OtherFocusReason)
             self.setWindowTitle("shapeforge")
             return
-        can, why = place_verdict(self.actions_table, session.place)
+        can, why = place_verdict(session, session.place)
         if not can:
             session.say(why, "warning")
             session.place = "collection"

@@ -1,0 +1,140 @@
+"""What can be done now and why not, and how far each place is: read from the Session's project, no Qt."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from shapeforge.viewer.session import Session
+
+Verdict = tuple[bool, str]
+YES: Verdict = (True, "")
+
+_status_read: WeakKeyDictionary[Any, tuple[int, dict[str, Any]]] = WeakKeyDictionary()
+
+
+def stage_status(session: Session) -> Mapping[str, Any]:
+    """``stages.status`` of the project, asked again only when its data changed; empty without a project."""
+    project = session.project
+    if project is None:
+        return {}
+    kept = _status_read.get(project)
+    if kept is None or kept[0] != session.revision:
+        from shapeforge import stages
+
+        kept = _status_read[project] = (session.revision, dict(stages.status(project)))
+    return kept[1]
+
+
+def needs_project(session: Session) -> Verdict:
+    """A project is open."""
+    return YES if session.project is not None else (False, "Open a project first.")
+
+
+def needs_rest(session: Session) -> Verdict:
+    """A project is open and nothing runs."""
+    if session.project is None:
+        return needs_project(session)
+    if session.running:
+        return False, f"Wait until {session.stage or 'the present stage'} is done, or stop it."
+    return YES
+
+
+_groups_read: WeakKeyDictionary[Any, tuple[Any, Any]] = WeakKeyDictionary()
+
+
+def groups_of(session: Session) -> Any:
+    """The project's groups (None without), read from disk only when they changed."""
+    project = session.project
+    if project is None:
+        return None
+    stamp = (project.groups_key, project.names)
+    kept = _groups_read.get(project)
+    if kept is None or kept[0] != stamp:
+        kept = _groups_read[project] = (stamp, project.groups)
+    return kept[1]
+
+
+def unpainted_exemplars(session: Session) -> tuple[str, ...]:
+    """Names of the exemplars without any labels."""
+    project = session.project
+    groups = groups_of(session)
+    if groups is None:
+        return ()
+    labelled = set(project.labelled)
+    return tuple(project.names[i] for i in groups.exemplars if project.names[i] not in labelled)
+
+
+def next_to_paint(session: Session) -> str | None:
+    """The first exemplar without labels, None when all are painted."""
+    names = unpainted_exemplars(session)
+    return names[0] if names else None
+
+
+def stage_verdict(session: Session, stage: str) -> Verdict:
+    """Whether a stage can be run now and, when not, why not."""
+    can, why = needs_rest(session)
+    if not can:
+        return can, why
+    status = stage_status(session).get(stage)
+    if status is not None and status.state == "locked":
+        return False, status.reason
+    return YES
+
+
+def place_verdict(session: Session, place: str) -> Verdict:
+    """Whether a place can be entered and, when not, why not."""
+    if session.project is None:
+        return needs_project(session)
+    status = stage_status(session)
+    if place == "collection":
+        return YES
+    if place == "paint":
+        return YES if session.project.names else (False, "Import shapes first.")
+    if place == "fit":
+        found = status.get("fit")
+        return (False, found.reason) if found is not None and found.state == "locked" else YES
+    needed = {"correspondence": ("fit", "Fit the family first."), "synthesize": ("learn", "Learn the family first.")}
+    stage, why = needed[place]
+    found = status.get(stage)
+    if place == "synthesize" and session.project.machine() is None and (found is None or found.state == "locked"):
+        return False, (found.reason if found else why)
+    if place == "correspondence" and not session.project.fit_names:
+        return False, why
+    return YES
+
+
+def place_mark(session: Session, place: str) -> tuple[str, str]:
+    """Mark of a place in the rail ("done", "running", "stale", "locked" or ""), and the sentence that explains it."""
+    own = {"collection": ("import", "group"), "paint": ("label", "cosegment"), "fit": ("fit",),
+           "correspondence": (), "synthesize": ("learn", "refine", "synthesize")}[place]  # fmt: skip
+    if session.running and session.stage in own:
+        return "running", f"{session.stage} is running"
+    can, why = place_verdict(session, place)
+    if not can:
+        return "locked", why
+    status = stage_status(session)
+    if place == "paint":
+        groups = groups_of(session)
+        left = unpainted_exemplars(session)
+        if groups is None:
+            return "", ""
+        return ("done", "Every exemplar is painted") if not left else ("", f"{len(left)} exemplars to paint")
+    stage = {"collection": "group", "fit": "fit", "correspondence": "fit", "synthesize": "learn"}[place]
+    found = status.get(stage)
+    if found is None:
+        return "", ""
+    if found.state == "done":
+        return "done", "Done"
+    if found.state == "stale":
+        return "stale", found.reason
+    return "", found.reason
+
+
+def group_of(session: Session, name: str | None) -> int:
+    """Number of the group of a shape; -1 when it has none (left out, or nothing is grouped)."""
+    groups = groups_of(session)
+    if groups is None or name not in session.project.names:
+        return -1
+    return int(groups.group[session.project.names.index(name)])
