@@ -83,8 +83,8 @@ def test_the_first_exemplar_is_opened_and_nothing_is_painted(painting):
     project, name = painting.session.project, painting.session.shape
     assert name == project.names[project.groups.exemplars[0]]
     assert (painting.labels == -1).all() and painting.painter.mesh.n_faces == len(painting.labels)
-    assert not painting.place.fit.isEnabled()
-    assert "unpainted" in painting.place.fit_why.text()
+    assert not painting.place.next.fit.isEnabled()
+    assert "unpainted" in painting.place.next.fit_why.text()
 
 
 def test_a_drag_paints_under_the_ring_as_one_undo_item(painting):
@@ -235,6 +235,9 @@ def test_the_eyedropper_takes_the_part_under_it(painting):
     painting.session.part, painting.session.tool = 0, "eyedropper"
     painting.click(face)
     assert painting.session.part == 2 and painting.session.tool == "brush"
+    painting.session.tool = "eyedropper"
+    painting.drag(painting.at(face), painting.at(face) + QPoint(8, 8))
+    assert len(painting.painter.state.strokes) == 1, "dragging it paints nothing"
 
 
 def test_painting_is_saved_with_its_history_and_comes_back(painting, open_window, qtbot):
@@ -297,7 +300,7 @@ def test_complete_fills_the_rest_and_says_when_it_cannot(painting):
 
 
 def test_next_piece_turns_to_what_is_unpainted(painting):
-    hidden = [p for p in painting.place._pieces if not painting.place._sees(p)]
+    hidden = [p for p in painting.place._pieces if not painting.place.hand.sees(p)]
     for piece in painting.place._pieces:
         painting.window.actions_table.run("next_piece")
         note = [mark for mark in painting.view.shown.views[0].marks if mark.kind == "note"]
@@ -310,16 +313,16 @@ def test_next_piece_turns_to_what_is_unpainted(painting):
 
 def test_parts_are_added_renamed_and_merged(painting, qtbot):
     project, place = painting.session.project, painting.place
-    place._new_part()
+    place.parts.new_part()
     assert project.part_names.names == ("back", "seat", "leg", "part 1") and painting.session.part == 3
-    editor = place.rows[3].editor
+    editor = place.parts.rows[3].editor
     editor.setText("arm")
     qtbot.keyClick(editor, Qt.Key.Key_Return)
     qtbot.waitUntil(lambda: project.part_names.names[3] == "arm")
     qtbot.wait(50)
-    place.rows[3].rename()
-    place.rows[3].editor.setText("seat")
-    qtbot.keyClick(place.rows[3].editor, Qt.Key.Key_Return)
+    place.parts.rows[3].rename()
+    place.parts.rows[3].editor.setText("seat")
+    qtbot.keyClick(place.parts.rows[3].editor, Qt.Key.Key_Return)
     assert project.part_names.names[3] == "arm" and "taken" in painting.session.status
     qtbot.wait(50)
     painting.session.tool = "piece"
@@ -328,10 +331,10 @@ def test_parts_are_added_renamed_and_merged(painting, qtbot):
     assert (painting.labels == 3).any()
     was = painting.labels == 3
     painting.session.part = 0
-    assert not place.merge.isEnabled()
-    place._select_second(3)
-    assert place.merge.isEnabled()
-    place._merged(0, 3)
+    assert not place.parts.merge.isEnabled()
+    place.parts.select_second(3)
+    assert place.parts.merge.isEnabled()
+    place.parts.merged(0, 3)
     assert project.part_names.names == ("back", "seat", "leg") and np.array_equal(painting.labels == 0, was)
     assert np.array_equal(project.labels(painting.session.shape), painting.labels)
 
@@ -341,7 +344,7 @@ def test_hidden_parts_are_neither_seen_nor_painted(painting):
     painting.session.tool = "piece"
     painting.click(face)
     count = len(painting.view.shown.views[0].layers[0].triangles)
-    painting.place._hide(0)
+    painting.place.parts.hide_part(0)
     assert len(painting.view.shown.views[0].layers[0].triangles) < count
     painting.session.part = 1
     before = painting.labels.copy()
@@ -367,8 +370,8 @@ def test_when_every_exemplar_is_painted_the_next_step_is_open(painting, qtbot):
         painting.session.shape = project.names[index]
         painting.click(int(painting.visible()[0]))
     painting.place._save()
-    assert painting.place.fit.isEnabled(), painting.place.fit.toolTip()
-    assert painting.place.fit_why.text() == "Every exemplar is painted."
+    assert painting.place.next.fit.isEnabled(), painting.place.next.fit.toolTip()
+    assert painting.place.next.fit_why.text() == "Every exemplar is painted."
 
 
 def test_both_themes_colour_the_ground(painting, qtbot):

@@ -102,7 +102,7 @@ class SynthesizePlace:
 
     def _build(self) -> None:
         self.view = self._view_factory()
-        self.view.grab = self._grab
+        self.view.hold = self._grab
         self.view.pulled.connect(self._pull)
         self.view.released.connect(self._let_handle_go)
         self.between = BetweenBar()

@@ -52,7 +52,7 @@ class View3D(QWidget):
         super().__init__(parent)
         self.session = session
         self.left_paints = False
-        self.grab: Callable[[float, float], bool] | None = (
+        self.hold: Callable[[float, float], bool] | None = (
             None  # takes hold of something at (x, y)? then `pulled` follows
         )
         self.frames = 0
@@ -296,7 +296,7 @@ class View3D(QWidget):
         if event.button() == Qt.MouseButton.LeftButton and self.left_paints and not alt:
             self._drag = "paint"
             self.pressed.emit(self.pick(self._last.x(), self._last.y()), event.modifiers())
-        elif event.button() == Qt.MouseButton.LeftButton and self.grab is not None and self.grab(*self.pointer):
+        elif event.button() == Qt.MouseButton.LeftButton and self.hold is not None and self.hold(*self.pointer):
             self._drag = "pull"
         else:
             self._drag = "move" if event.modifiers() & Qt.KeyboardModifier.ShiftModifier else "turn"
