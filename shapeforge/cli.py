@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from shapeforge.cli_output import escaped, follow, one_line, print_json
+from shapeforge.cli_output import PartlyDone, escaped, follow, one_line, print_json
 
 app = typer.Typer(
     name="shapeforge", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
@@ -34,17 +34,25 @@ def main() -> None:
 
 def run_command(arguments: list[str]) -> int:
     """Run one command line (without the program's name); its exit status."""
+    status, reason, found = 0, "", {}
     try:
         app(arguments, prog_name="shapeforge")
     except SystemExit as done:
-        return done.code if isinstance(done.code, int) else 0
+        status = done.code if isinstance(done.code, int) else 0
+        reason = {2: "wrong usage: see the help of the verb", 130: "stopped from the keyboard"}.get(status, "failed")
+    except KeyboardInterrupt:  # between two steps; those of a stage are caught where they are followed
+        print("Stopped. Run the same command again and it goes on.", file=sys.stderr)
+        status, reason = 130, "stopped from the keyboard"
     except BrokenPipeError:
         sys.stderr.close()
         return 1
     except Exception as error:  # every failure becomes one line that says what to do
-        print(f"error: {one_line(error)}", file=sys.stderr)
-        return 1
-    return 0
+        status, reason, found = 1, one_line(error), getattr(error, "summary", {})
+        print(f"error: {reason}", file=sys.stderr)
+    if status and "--json" in arguments:
+        verb = next((word for word in arguments if not word.startswith("-")), None)
+        print_json({"verb": verb, **found, "error": reason})
+    return status
 
 
 def run_stage(
@@ -61,9 +69,14 @@ def run_stage(
     record = project.stage_record(stage) or {}
     summary = dict(record.get("summary") or {})
     typer.echo(f"{stage}: {latest.message if latest else summary.get('text', 'done')}")
+    stale = [name for name, now in stages.status(project).items() if now.state == "stale"]
+    if stale:
+        typer.echo(f"stale now, redone when needed: {', '.join(stale)}", err=True)
     typer.echo(f"next: {stages.next_step(project)}", err=True)
     if as_json:
-        print_json({"verb": stage, "project": str(path), "seconds": record.get("seconds"), **summary})
+        print_json({
+            "verb": stage, "project": str(path), "seconds": record.get("seconds"), **summary, "stale": stale,
+        })  # fmt: skip
 
 
 # -- the stages ------------------------------------------------------------------------------------------------------
@@ -269,8 +282,11 @@ def validate(
     )
     found = follow(project, steps, "validate").state
     typer.echo(stages_validation.table(found))
+    summary = {"verb": "validate", "project": str(path), **found}
+    if found.get("undone"):
+        raise PartlyDone(found["undone"], summary)
     if as_json:
-        print_json({"verb": "validate", "project": str(path), **found})
+        print_json(summary)
 
 
 @app.command()
@@ -293,6 +309,8 @@ def write_report(project: Any, out: Path, measures: dict[str, Any] | None = None
     """The report of a project at ``out``, with what ``validate`` measured; errors go to the project's log."""
     from shapeforge.viewer.report import write_report as write
 
+    if out.is_dir():
+        raise ValueError(f"{out}: is a folder. Name the file to write: --out {out / 'report.html'}")
     try:
         out.absolute().parent.mkdir(parents=True, exist_ok=True)
         write(project, out, measures=measures)

@@ -35,7 +35,8 @@ def validate(
 
     ``labels`` is a folder of ``.seg`` files, ``landmarks`` a ``landmarks.json`` in the coordinates of the input files,
     ``classes`` a ``classes.csv``.  Shapes whose labels the fit was given are left out.  The last progress has the
-    figures as ``state``, ready for JSON (see ``shapeforge.validation.family``).  Raises :class:`StageError` when a
+    figures as ``state``, ready for JSON (see ``shapeforge.validation.family``); ``undone`` among them says what could
+    not be measured yet.  Raises :class:`StageError` when a
     file cannot be used or no truth is given.
     """
     from shapeforge.validation.family import validate_family
@@ -64,8 +65,12 @@ def validate(
         if not truth:
             raise StageError(f"{labels}: no .seg file in it fits a shape of the project (e.g. {names[0]}.seg)")
     found = project.descriptors()
+    undone = None
     if true_classes is not None and found is None:
-        raise StageError(f"classes need descriptors. Learn first: shapeforge learn {project.path}")
+        undone = f"classes need descriptors. Learn first: shapeforge learn {project.path}"
+        if truth is None and true_marks is None:
+            raise StageError(undone)
+        true_classes = None
 
     @lru_cache(maxsize=32)
     def mesh_of(name: str) -> Mesh:
@@ -90,6 +95,8 @@ def validate(
         baseline_faces={name: faces for name, (faces, _) in baseline.items()} or None,
         baseline_points={name: positions for name, (_, positions) in baseline.items()} or None,
     )  # fmt: skip
+    if undone is not None:
+        figures["undone"] = undone
     if matched is not None:
         figures["proposed_parts_are"] = matched
     text = f"compared with truth; {len(evidence)} shapes that gave evidence are left out"

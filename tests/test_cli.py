@@ -261,6 +261,9 @@ def test_proposed_parts_instead_of_labels(folder: Path, tmp_path: Path, capsys) 
     assert found["left_out"] == [] and found["segmentation"]["n"] == COUNT
     assert set(found["proposed_parts_are"]) == {f"part {i}" for i in range(1, 5)}
     assert found["segmentation"]["area"] > 0.5
+    # what can be measured is, and what cannot yet is said; the command has then not done all it was asked for
+    status, out, err = run(capsys, "validate", path, "--labels", truth, "--classes", truth / "classes.csv")
+    assert status == 1 and "part IoU" in out and "shapeforge learn" in err
 
 
 @pytest.mark.slow
