@@ -29,7 +29,8 @@ from shapeforge.viewer.regroup import can_leave_out, can_make_exemplar, leave_ou
 from shapeforge.viewer.session import PLACES, Session
 
 __all__ = [
-    "MESH_ENDINGS", "PLACE_NAMES", "YES", "Action", "Actions", "Desk", "Verdict", "free_folder", "group_of", "groups_of",
+    "MESH_ENDINGS", "PLACE_NAMES", "YES", "Action", "Actions", "Desk", "Verdict", "free_folder", "group_of",
+    "groups_of",
     "next_to_paint", "place_mark", "place_verdict", "unpainted_exemplars",
 ]  # fmt: skip
 
@@ -45,7 +46,7 @@ MESH_ENDINGS: tuple[str, ...] = ("obj", "off", "ply", "stl", "glb", "gltf")
 
 @runtime_checkable
 class Desk(Protocol):
-    """What actions ask of whoever shows them.  Every ``choose`` returns None (or nothing) when the user thinks again."""
+    """What actions ask of whoever shows them.  Every ``choose`` gives None (or nothing) when the user thinks again."""
 
     def choose_folder(self, title: str) -> Path | None: ...
 
@@ -135,10 +136,16 @@ class Actions(Mapping[str, Action]):
         project = self.session.project
         if project is None:
             first = paths[0].resolve()
-            project = Project.open_or_create(free_folder(first.parent, f"{first.stem if first.is_file() else first.name}-project"))
+            project = Project.open_or_create(
+                free_folder(first.parent, f"{first.stem if first.is_file() else first.name}-project")
+            )
             self.session.open(project)
-        self.desk.start("import", lambda: _one_after_another(
-            stages.run(project, "import", meshes=list(paths)), lambda: stages.run(project, "group")))
+        self.desk.start(
+            "import",
+            lambda: _one_after_another(
+                stages.run(project, "import", meshes=list(paths)), lambda: stages.run(project, "group")
+            ),
+        )
 
     def start_stage(self, stage: str, **options: Any) -> None:
         """Run one stage of the pipeline in the background."""
@@ -157,8 +164,12 @@ class Actions(Mapping[str, Action]):
         write_family(meshes, "chairs", count, seed=seed)
         project = Project.open_or_create(folder / "project")
         self.session.open(project)
-        self.desk.start("import", lambda: _one_after_another(
-            stages.run(project, "import", meshes=[meshes]), lambda: stages.run(project, "group")))
+        self.desk.start(
+            "import",
+            lambda: _one_after_another(
+                stages.run(project, "import", meshes=[meshes]), lambda: stages.run(project, "group")
+            ),
+        )
 
 
 def _one_after_another(first: Iterator[Any], second: Callable[[], Iterator[Any]]) -> Iterator[Any]:
@@ -216,7 +227,8 @@ def _project_actions(actions: Actions) -> list[Action]:
                "Mesh files: obj, off, ply, stl, glb or gltf. They are copied into the project.", "plus"),
         Action("import_folder", "Import a folder…", import_folder, idle, "Ctrl+Shift+I",
                "Every mesh file in a folder and its subfolders", "import"),
-        Action("try_demo", "Try the demo family", demo, idle, "", "24 generated chairs, in a new folder at home", "cube"),
+        Action("try_demo", "Try the demo family", demo, idle, "", "24 generated chairs, in a new folder at home",
+               "cube"),
         Action("close_project", "Close project", lambda session: session.open(None), needs_rest, "Ctrl+W",
                "Back to the start page", "close"),
         Action("report", "Save report…", report, needs_rest, "", "One page of pictures, plots and figures", "export"),
@@ -296,7 +308,8 @@ def _view_actions(actions: Actions) -> list[Action]:
         for number, place in enumerate(PLACES, start=1)
     ]  # fmt: skip
     return places + [
-        Action("find", "Find a shape", lambda s: desk.show("search"), needs_project, "Ctrl+K", "Find a shape", "search"),
+        Action("find", "Find a shape", lambda s: desk.show("search"), needs_project, "Ctrl+K", "Find it by its name",
+               "search"),
         Action("undo", "Undo", lambda session: session.undo(), undo_enabled, "Ctrl+Z", "", "undo"),
         Action("redo", "Redo", lambda session: session.redo(), redo_enabled, "Ctrl+Shift+Z", "", "redo"),
         Action("picture", "Save picture…", picture, shortcut="Ctrl+Shift+S", tooltip="A picture of the window",
@@ -308,13 +321,15 @@ def _view_actions(actions: Actions) -> list[Action]:
 
 def _collection_actions(actions: Actions) -> list[Action]:
     return [
-        Action("paint_next", "Paint the next exemplar", _paint_next, _can_paint_next, "", "Paint the parts of the next exemplar", "right",
+        Action("paint_next", "Paint the next exemplar", _paint_next, _can_paint_next, "",
+               "Paint the parts of the next exemplar", "right",
                "collection"),
         Action("look_at", "Look at it", _look_at, _has_shape, "Return", "Open the selected shape in Paint", "eye",
                "collection"),
         Action("make_exemplar", "Make it the exemplar", make_exemplar, can_make_exemplar, "E",
                "The exemplar is the shape you paint for its group", "star", "collection"),
-        Action("leave_out", "Leave it out", leave_out, can_leave_out, "X", "Take the shape out of its group, or put it back",
+        Action("leave_out", "Leave it out", leave_out, can_leave_out, "X",
+               "Take the shape out of its group, or put it back",
                "eye_off", "collection"),
     ]  # fmt: skip
 

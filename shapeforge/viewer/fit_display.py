@@ -160,8 +160,8 @@ def template_view(
 
 
 def three_views(
-    plain: MeshLayer, ghost: MeshLayer, look: TemplateLook | None, now: FittedPoints | None, before: FittedPoints | None,
-    parts: MeshLayer | None, by: str,
+    plain: MeshLayer, ghost: MeshLayer, look: TemplateLook | None, now: FittedPoints | None,
+    before: FittedPoints | None, parts: MeshLayer | None, by: str,
 ) -> Display:  # fmt: skip
     """Input, template points over its ghost, and probable parts (None: not yet), side by side under one camera."""
     last = View((parts if parts is not None else ghost,))
@@ -169,14 +169,16 @@ def three_views(
 
 
 def sureness(segmentation: Float[np.ndarray, "P L"]) -> Float[np.ndarray, " L"]:
-    """How sure the points of each part are of it (L,): mean probability where the part is the most probable; NaN none."""
+    """How sure the points of each part are of it (L,): mean probability where it is the most probable; NaN nowhere."""
     best = segmentation.argmax(axis=1)
     count = np.bincount(best, minlength=segmentation.shape[1])
     total = np.bincount(best, segmentation.max(axis=1), segmentation.shape[1])
     return np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
 
 
-def to_plane(points: Float[np.ndarray, "n 3"], direction: Sequence[float] = (1.0, 0.6, 1.5)) -> Float[np.ndarray, "n 3"]:
+def to_plane(
+    points: Float[np.ndarray, "n 3"], direction: Sequence[float] = (1.0, 0.6, 1.5)
+) -> Float[np.ndarray, "n 3"]:
     """Points seen from ``direction``, y up: right, down and depth (n, 3), the nearest with the greatest depth."""
     away = np.asarray(direction, float) / np.linalg.norm(direction)
     right = np.cross((0.0, 1.0, 0.0), away)

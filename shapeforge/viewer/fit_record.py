@@ -13,8 +13,13 @@ from shapeforge.viewer.fit_display import (
     all_beliefs,
     best_beliefs,
     looks_of,
+    movement,
     record_round,
 )
+
+WATCHED_AT_MOST = 9
+STILL_MOVING = 0.02
+"""Mean movement (diagonals) in a round above which a shape is said to be still moving."""
 
 
 class FitRecord:
@@ -52,7 +57,7 @@ class FitRecord:
     # -- from disk -------------------------------------------------------------------------------------------------
 
     def load(self) -> None:
-        """Without a live fit: the numbers and templates of the last complete one (its points are read when asked for)."""
+        """Without a live fit: numbers and templates of the last complete one (its points are read when asked for)."""
         found = self.project.fit_id
         if self.state is not None or found is None or self._loaded == found:
             return
@@ -113,9 +118,32 @@ class FitRecord:
     def off_elsewhere(self, part: int, name: str) -> tuple[str, ...]:
         """Other shapes on which a part is switched off, by the newest beliefs."""
         off = np.flatnonzero(~self.active[:, part]) if part < self.active.shape[1] else ()
-        return tuple(self.project.names[t] for t in off if t < len(self.project.names) and self.project.names[t] != name)
+        return tuple(
+            self.project.names[t] for t in off if t < len(self.project.names) and self.project.names[t] != name
+        )
 
     def _keep(self, state: Any) -> None:
         self.looks = looks_of(state)
         number = len(state.candidates) if hasattr(state, "candidates") else len(state.beliefs)
         self.active = np.stack([best_beliefs(state, t).active for t in range(number)])
+
+
+def look_at(record: FitRecord, points: FittedPoints | None) -> TemplateLook | None:
+    """The template that points are of, None when it is not known."""
+    if points is None or not 0 <= points.template < len(record.looks):
+        return None
+    return record.looks[points.template]
+
+
+def moved_text(record: FitRecord, name: str, number: int) -> tuple[str, bool]:
+    """How far a shape's template points moved in a round, in words, and whether that is far; "" when not known."""
+    known = record.rounds.get(number)
+    moved = known.moved.get(name) if known is not None else None
+    if moved is None:  # a fit from disk: its rounds tell
+        now = record.points(name, number)
+        far = None if now is None else movement(now, record.points(name, number - 1))
+        if far is None:
+            return "", False
+        moved = float(far.mean())
+    still = moved > STILL_MOVING
+    return f"{'still moving' if still else 'moved'} {100 * moved:.1f}%", still

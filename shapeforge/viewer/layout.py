@@ -20,9 +20,9 @@ def place_by_likeness(
 ) -> Float[np.ndarray, "T 2"]:
     """Centres of the pictures (T, 2), x right and y down, about the origin.
 
-    Shapes of one group stay together, placed as in ``embedding`` and pushed apart to one tile; groups lie as their means
-    do, and are moved apart as convex shapes.  ``aspect`` is the wanted width to height.  Shapes left out (group -1)
-    stand in rows below.
+    Shapes of one group stay together, placed as in ``embedding`` and pushed apart to one tile; groups lie as their
+    means do, and are moved apart as convex shapes.  ``aspect`` is the wanted width to height.  Shapes left out
+    (group -1) stand in rows below.
     """
     place = np.zeros((len(embedding), 2))
     groups = [g for g in np.unique(group) if g >= 0]

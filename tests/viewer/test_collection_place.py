@@ -1,4 +1,4 @@
-"""Collection: the map is where the pictures are, the mouse selects what lies under it, the next step is one click away."""
+"""Collection: pictures lie where the map says, the mouse selects what is under it, the next step is one click."""
 
 from __future__ import annotations
 
@@ -78,7 +78,9 @@ def test_rows_go_group_by_group():
     assert len(np.unique(place, axis=0)) == 5
 
 
-@pytest.mark.parametrize(("rank", "words"), [(0, "typical: 1st of 12"), (1, "typical: 2nd of 12"), (10, "typical: 11th of 12")])
+@pytest.mark.parametrize(
+    ("rank", "words"), [(0, "typical: 1st of 12"), (1, "typical: 2nd of 12"), (10, "typical: 11th of 12")]
+)
 def test_how_typical_an_exemplar_is(rank, words):
     from shapeforge.collection.groups import Groups
 
@@ -190,7 +192,11 @@ def test_pictures_of_the_shapes_arrive_in_the_groups_colour(window, place, qtbot
                 seen = np.array([colour.red(), colour.green(), colour.blue()], float)
                 bright = seen.mean() > 90
                 tint = seen - seen.mean()
-                found += bool(bright and np.linalg.norm(tint) > 8 and tint @ hue > 0.8 * np.linalg.norm(tint) * np.linalg.norm(hue))
+                found += bool(
+                    bright
+                    and np.linalg.norm(tint) > 8
+                    and tint @ hue > 0.8 * np.linalg.norm(tint) * np.linalg.norm(hue)
+                )
         assert found > 8, f"no picture of {place.session.project.names[t]}"
 
 
@@ -211,7 +217,7 @@ def test_the_selected_shape_becomes_the_exemplar(window, place, qtbot):
     qtbot.mouseClick(place.choose_button, LEFT)
     assert project.names[project.groups.exemplars[g]] == other
     assert place.preview_name.text() == other
-    assert other in place.card_of and exemplar not in place.card_of
+    assert other in place.strip.card_of and exemplar not in place.strip.card_of
 
 
 def test_choosing_another_exemplar_on_the_map(window, place, qtbot):
@@ -256,31 +262,31 @@ def test_groups_are_listed_with_their_numbers(place, qtbot):
 
 
 def test_files_not_read_are_named_with_the_reason(place, qtbot):
-    assert place.read_count.text() == "8 of 9 read"
+    assert place.problems.read_count.text() == "8 of 9 read"
     from PySide6.QtWidgets import QLabel
 
-    words = [one.text() for one in place.import_section.findChildren(QLabel)]
+    words = [one.text() for one in place.problems.findChildren(QLabel)]
     assert "empty.obj" in words
     assert any("no faces" in word for word in words)
-    qtbot.mouseClick(place.copy, LEFT)
+    qtbot.mouseClick(place.problems.copy, LEFT)
     assert "empty.obj" in QGuiApplication.clipboard().text()
 
 
 def test_the_next_step_is_to_paint_the_first_exemplar(window, place, qtbot, meshes):
     project = place.session.project
     first = project.names[project.groups.exemplars[0]]
-    assert place.next.text() == f"Paint {first}"
-    assert place.strip_count.text() == f"0 of {len(project.groups)} painted"
+    assert place.strip.next.text() == f"Paint {first}"
+    assert place.strip.strip_count.text() == f"0 of {len(project.groups)} painted"
     paint_exemplars(project, meshes)
     window.session.touch("labels")
-    assert place.strip_count.text() == f"{len(project.groups)} of {len(project.groups)} painted"
-    assert place.next.text() == "Fit the family"
-    qtbot.mouseClick(place.next, LEFT)
+    assert place.strip.strip_count.text() == f"{len(project.groups)} of {len(project.groups)} painted"
+    assert place.strip.next.text() == "Fit the family"
+    qtbot.mouseClick(place.strip.next, LEFT)
     assert window.session.place == "fit"
 
 
 def test_the_cards_select_their_exemplar(window, place, qtbot):
-    name, card = next(iter(place.card_of.items()))
+    name, card = next(iter(place.strip.card_of.items()))
     assert isinstance(card, Clickable)
     qtbot.mouseClick(card, LEFT)
     assert window.session.shape == name
@@ -302,9 +308,9 @@ def test_before_grouping_there_is_a_grid_and_one_next_step(open_window, grouped,
     window = open_window(grouped)
     place = window.places["collection"]
     assert not place.mode.button("map").isEnabled() and place.mode.button("map").toolTip()
-    assert place.next.text() == "Group the shapes"
+    assert place.strip.next.text() == "Group the shapes"
     assert len(place.map.content.names) == 8
     started = []
     monkeypatch.setattr(window.actions_table.desk, "start", lambda name, make: started.append(name))
-    qtbot.mouseClick(place.next, LEFT)
+    qtbot.mouseClick(place.strip.next, LEFT)
     assert started == ["group"]

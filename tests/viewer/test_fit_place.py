@@ -85,8 +85,8 @@ def test_a_finished_fit_is_shown_from_disk(open_window, fitted, qtbot):
     place = place_of(window)
     state = fitted.fit()
     assert place.round_text.text() == f"Round {state.round} of {state.of}"
-    np.testing.assert_allclose(place.energy.values[0][-1], state.energy)
-    np.testing.assert_allclose([curve[-1] for curve in place.sigma.values], 100 * state.sigma_by_part, rtol=1e-6)
+    np.testing.assert_allclose(place.report.energy.values[0][-1], state.energy)
+    np.testing.assert_allclose([curve[-1] for curve in place.report.sigma.values], 100 * state.sigma_by_part, rtol=1e-6)
     assert place.run.text() == "Run again"
     assert place.next.isVisible()
     assert place.scrubber.recorded == state.round == place.scrubber.at
@@ -131,11 +131,11 @@ def test_dragging_the_scrubber_looks_back_and_forth(open_window, fitted, qtbot):
 def test_watching_another_shape(open_window, fitted, qtbot):
     window = open_window(fitted, "fit")
     place = place_of(window)
-    other = next(one for one in place.also if one.name != window.session.shape)
+    other = next(one for one in place.also_watching.pictures if one.name != window.session.shape)
     qtbot.mouseClick(other, LEFT)
     assert window.session.shape == other.name
     qtbot.waitUntil(lambda: place.heads[0][1].full_text().startswith(other.name))
-    assert other.name in place.parts_title.text() and other.name in place.correct.text()
+    assert other.name in place.report.parts_title.text() and other.name in place.correct.text()
 
 
 def test_the_grid_shows_all_watched_shapes(open_window, fitted, qtbot):
@@ -151,11 +151,11 @@ def test_the_grid_shows_all_watched_shapes(open_window, fitted, qtbot):
 def test_turning_the_view_turns_the_small_pictures(open_window, fitted, qtbot):
     window = open_window(fitted, "fit")
     place = place_of(window)
-    before = place.also[0]._direction
+    before = place.also_watching.pictures[0]._direction
     place.view.turn(120, 0)
-    assert place.also[0]._direction != before
+    assert place.also_watching.pictures[0]._direction != before
     place.linked.setChecked(False)
-    assert place.also[0]._direction == (1.0, 0.6, 1.5)
+    assert place.also_watching.pictures[0]._direction == (1.0, 0.6, 1.5)
 
 
 def test_correcting_goes_to_paint_with_the_shape(open_window, fitted, qtbot, monkeypatch):
@@ -179,7 +179,7 @@ def test_running_pausing_stepping_stopping(open_window, fitted, qtbot):
     qtbot.mouseClick(place.step, LEFT)
     qtbot.waitUntil(lambda: place.record.newest == 1 and window.runner.paused, timeout=LONG)
     qtbot.wait(50)
-    assert np.isfinite(place.energy.values[0][-1])
+    assert np.isfinite(place.report.energy.values[0][-1])
     can, why = window.actions_table.verdict("correct")
     assert not can and "Stop" in why
     qtbot.mouseClick(place.stop, LEFT)
@@ -196,7 +196,13 @@ def bytes_of(project: Project) -> dict[str, bytes]:
         beliefs = project.beliefs(name)
         found[name] = b"".join(
             np.ascontiguousarray(array).tobytes()
-            for array in (beliefs.deformed, beliefs.variance, beliefs.maps, beliefs.segmentation, project.face_labels(name))
+            for array in (
+                beliefs.deformed,
+                beliefs.variance,
+                beliefs.maps,
+                beliefs.segmentation,
+                project.face_labels(name),
+            )
         )
     state = project.fit()
     found["templates"] = b"".join(np.ascontiguousarray(t.points).tobytes() for t in state.templates)
@@ -226,7 +232,7 @@ def test_a_watched_fit_equals_an_unwatched_fit_bit_for_bit(open_window, fitted, 
 def test_a_run_that_was_stopped_ends_like_one_that_was_not(open_window, fitted, qtbot):
     whole = bytes_of(fitted)
     window = open_window(fitted, "fit")
-    session, place = window.session, place_of(window)
+    place = place_of(window)
     qtbot.mouseClick(place.step, LEFT)
     qtbot.waitUntil(lambda: place.record.newest == 0 and window.runner.paused, timeout=LONG)
     window.close()  # in the middle of a fit

@@ -190,4 +190,11 @@ def test_a_failure_is_said_with_its_remedy():
 
 
 def test_lengths_of_time_in_words():
-    assert [duration(s) for s in (0.2, 6.4, 89, 120, 3600, 7260)] == ["1 s", "6 s", "89 s", "2 min", "60 min", "2 h 1 min"]
+    assert [duration(s) for s in (0.2, 6.4, 89, 120, 3600, 7260)] == [
+        "1 s",
+        "6 s",
+        "89 s",
+        "2 min",
+        "60 min",
+        "2 h 1 min",
+    ]

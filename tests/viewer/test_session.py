@@ -129,6 +129,9 @@ def test_text_can_be_read_on_its_ground(name):
 
 
 def test_the_session_loads_no_window():
-    code = "import sys, shapeforge.viewer.actions, shapeforge.viewer.runner; print([m for m in sys.modules if 'PySide6' in m or 'vtk' in m.lower()])"
+    code = (
+        "import sys, shapeforge.viewer.actions, shapeforge.viewer.runner; "
+        "print([m for m in sys.modules if 'PySide6' in m or 'vtk' in m.lower()])"
+    )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"

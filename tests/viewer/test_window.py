@@ -172,7 +172,7 @@ def test_the_theme_changes_every_pixel_of_the_ground(open_window, qtbot, grouped
 
 @pytest.mark.parametrize("first", ["collection", "fit"])
 def test_pictures_and_views_do_not_draw_into_each_other(open_window, qtbot, fitted, first):
-    """VTK's hidden window for pictures and Qt's own GL share a thread; a mix-up leaves pictures empty or screens black."""
+    """VTK's hidden window for pictures and Qt's GL share a thread: mixed up, pictures are empty or the screen black."""
     window = open_window(fitted, first)
     if first == "fit":
         qtbot.waitUntil(lambda: window.places["fit"].view.frames > 0)
@@ -195,7 +195,9 @@ def test_pictures_and_views_do_not_draw_into_each_other(open_window, qtbot, fitt
         image = pixmap.toImage()
         corners = [(0, 0), (image.width() - 1, 0), (0, image.height() - 1), (image.width() - 1, image.height() - 1)]
         assert all(image.pixelColor(x, y).alpha() == 0 for x, y in corners), key
-        alpha = [image.pixelColor(x, y).alpha() for x in range(0, image.width(), 4) for y in range(0, image.height(), 4)]
+        alpha = [
+            image.pixelColor(x, y).alpha() for x in range(0, image.width(), 4) for y in range(0, image.height(), 4)
+        ]
         assert np.mean(np.array(alpha) > 200) > 0.03, f"{key}: hardly anything in the picture"
 
 

@@ -35,7 +35,7 @@ class Binding:
             self.safely(show)
 
     def safely(self, show: Callable[[], None]) -> None:
-        """Call ``show()``; a damaged or unreadable file of the project becomes the status, not the end of the window."""
+        """Call ``show()``; a damaged file of the project becomes the status, not the end of the window."""
         try:
             show()
         except (ProjectError, OSError) as error:
@@ -87,4 +87,3 @@ def keep_enabled(widget: QAbstractButton | QWidget, actions: Actions, name: str,
         widget.setToolTip(tooltip_of(actions, name))
 
     binding.on(ENABLING, show)
-

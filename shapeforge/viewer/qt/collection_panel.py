@@ -4,30 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from html import escape
-from pathlib import Path
 
 import numpy as np
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QGuiApplication, QPixmap
-from PySide6.QtWidgets import QFrame, QProgressBar, QScrollArea, QWidget
+from PySide6.QtGui import QPixmap
+from PySide6.QtWidgets import QWidget
 
 from shapeforge.viewer.actions import (
     Actions,
     group_of,
     groups_of,
-    next_to_paint,
-    unpainted_exemplars,
 )
 from shapeforge.viewer.palette import rgb
 from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.collection_parts import MAP_PICTURE, CollectionStrip, ProblemList
 from shapeforge.viewer.qt.group_map import GroupMap, MapContent, group_colour
-from shapeforge.viewer.qt.icons import refresh, set_icon
+from shapeforge.viewer.qt.icons import set_icon
 from shapeforge.viewer.qt.theme import PADDING
 from shapeforge.viewer.qt.thumbnails import Thumbnails
 from shapeforge.viewer.qt.widgets import (
     Choice,
     Clickable,
-    ElidedLabel,
     Picture,
     Segments,
     Swatch,
@@ -36,7 +33,6 @@ from shapeforge.viewer.qt.widgets import (
     column,
     framed,
     grouped,
-    icon_label,
     label,
     row,
     scrolled,
@@ -44,12 +40,10 @@ from shapeforge.viewer.qt.widgets import (
     separator,
 )
 from shapeforge.viewer.regroup import can_make_exemplar
-from shapeforge.viewer.runner import duration
 from shapeforge.viewer.session import Session
 
 PREVIEW = (280, 184)
 PREVIEW_WORDS = 30
-MAP_PICTURE = 160
 HINTS = {
     "map": "Near means similar. Wheel zooms, drag pans, Shift-drag selects, Home shows all.",
     "grid": "Group by group. Wheel scrolls, Shift-drag selects.",
@@ -70,7 +64,9 @@ class CollectionPlace:
         self.toolbar_widget = self._make_tools()
         self.centre = self._make_centre()
         self.inspector = self._make_inspector()
-        self.strip = self._make_strip()
+        self.strip = CollectionStrip(session, actions, self.binding)
+        self.strip.chosen.connect(lambda name: self._click(name, False))
+        self.strip.opened.connect(self._open)
         self.map.clicked.connect(self._click)
         self.map.lassoed.connect(self._select)
         self.map.opened.connect(self._open)
@@ -144,45 +140,8 @@ class CollectionPlace:
         self.exemplar_section = section(
             row(self.exemplar_title, None, self.typical), framed(row(self.preview), "preview"), self.choose_button
         )
-        self.read_count = label("", "off")
-        self.copy = button("Copy list", kind="link", tooltip="Copy the list of problems as text")
-        self.copy.clicked.connect(self._copy_problems)
-        self.problem_list = column(spacing=8)
-        self.import_section = section(
-            row(label("Import", "heading"), self.read_count, None, self.copy), self.problem_list, line=False
-        )
-        return scrolled(holder, self.exemplar_section, self.import_section)
-
-    def _make_strip(self) -> QWidget:
-        self.strip_title, self.strip_count = label("Exemplars to paint", "heading"), label("", "text2")
-        self.done_icon = icon_label("check", "ok")
-        self.status = ElidedLabel("", "text2")
-        self.bar = QProgressBar()
-        self.bar.setTextVisible(False)
-        self.bar.setFixedWidth(160)
-        self.stop = action_button(self.actions, "stop", self.binding, kind="")
-        self.next = button("Next", kind="primary")
-        self.next.setLayoutDirection(Qt.LayoutDirection.RightToLeft)
-        set_icon(self.next, "right", "on_accent")
-        self.next.clicked.connect(self._press_next)
-        top = row(
-            self.strip_title, self.strip_count, None, self.done_icon, self.status, self.bar, self.stop, 4,
-            separator(vertical=True), 4, self.next, margins=(PADDING, 0, PADDING, 0),
-        )  # fmt: skip
-        self.cards = row(None, spacing=8, margins=(PADDING, 0, PADDING, 0))
-        inside = QWidget()
-        inside.setLayout(self.cards)
-        area = QScrollArea()
-        area.setObjectName("panel")
-        area.setFrameShape(QFrame.Shape.NoFrame)
-        area.setWidgetResizable(True)
-        area.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        area.setWidget(inside)
-        area.setFixedHeight(63)
-        head = framed(top, height=39)
-        result = QWidget()
-        result.setLayout(column(head, separator(), area, spacing=0))
-        return result
+        self.problems = ProblemList(self.session)
+        return scrolled(holder, self.exemplar_section, self.problems)
 
     # -- showing ---------------------------------------------------------------------------------------------------
 
@@ -197,9 +156,9 @@ class CollectionPlace:
         self._show_colours()
         self._show_map()
         self._show_groups()
-        self._show_problems()
+        self.problems.show_problems(self.session)
+        self.strip.show_exemplars()
         self._show_selection()
-        self._show_strip()
         self._show_progress()
 
     def _show_colours(self) -> None:
@@ -220,9 +179,7 @@ class CollectionPlace:
         if groups is None:
             content = MapContent(names, np.zeros(len(names), int))
         else:
-            content = MapContent(
-                names, groups.group, groups.exemplars, groups.embedding, groups.names, grouped=True
-            )
+            content = MapContent(names, groups.group, groups.exemplars, groups.embedding, groups.names, grouped=True)
         self.map.set_content(content, rows=rows)
         self.mode.button("map").setEnabled(groups is not None)
         self.mode.button("map").setToolTip("" if groups is not None else "Group the shapes first.")
@@ -304,7 +261,7 @@ class CollectionPlace:
         chosen = len(session.selected) or (1 if session.shape else 0)
         self.count.setText(f"{chosen} of {len(session.project.names)} selected" if chosen else "")
         self._show_exemplar()
-        self._show_cards_current()
+        self.strip.show_current()
 
     def _show_exemplar(self) -> None:
         groups, project = groups_of(self.session), self.session.project
@@ -329,65 +286,6 @@ class CollectionPlace:
         self.choose_button.setToolTip("It is alone in its group." if alone else why if self.session.running else "")
         self._pictures_changed()
 
-    def _show_problems(self) -> None:
-        clear(self.problem_list)
-        project = self.session.project
-        problems = sorted(project.problems, key=lambda problem: problem.kind)
-        errors = sum(problem.kind == "error" for problem in problems)
-        self.read_count.setText(f"{len(project.names)} of {len(project.names) + errors} read")
-        self.copy.setVisible(bool(problems))
-        for problem in problems:
-            failed = problem.kind == "error"
-            said = label(f"{'not read' if failed else 'read'}: {problem.reason}", "caption", wrap=True)
-            said.setToolTip(problem.remedy)
-            name = ElidedLabel(Path(problem.file).name, "strong", Qt.TextElideMode.ElideMiddle)
-            sign = icon_label("error" if failed else "warning", "error" if failed else "warning")
-            words = column(name, said, spacing=0)
-            self.problem_list.addLayout(row(column(sign, None, margins=(0, 2, 0, 0)), words, spacing=8))
-        if not problems:
-            text = "Every file was read without complaint." if project.names else "Nothing has been imported yet."
-            self.problem_list.addWidget(label(text, "caption", wrap=True))
-        refresh(self.import_section, self.session.theme)
-
-    def _show_strip(self) -> None:
-        session, groups = self.session, groups_of(self.session)
-        clear(self.cards)
-        self.card_of: dict[str, Clickable] = {}
-        self.card_pictures: list[tuple[Picture, str, bool]] = []
-        if groups is None:
-            self.strip_title.setText(f"{len(session.project.names)} shapes")
-            self.strip_count.setText("")
-            self.cards.addWidget(label("Grouping finds similar shapes and, for each group, one to paint.", "caption"))
-            self.cards.addStretch(1)
-            return
-        left = set(unpainted_exemplars(session))
-        exemplars = [session.project.names[i] for i in groups.exemplars]
-        self.strip_title.setText("Exemplars to paint")
-        self.strip_count.setText(f"{len(exemplars) - len(left)} of {len(exemplars)} painted")
-        upcoming = next_to_paint(session)
-        for name in exemplars:
-            painted = name not in left
-            role = "caption_ok" if painted else "caption"
-            state = "painted" if painted else "next" if name == upcoming else "to paint"
-            picture = Picture((38, 38))
-            words = column(ElidedLabel(name, "strong"), label(state, role), spacing=0)
-            card = Clickable(row(picture, words, spacing=10, margins=(10, 3, 10, 3)), "card")
-            card.setFixedHeight(47)
-            card.setMinimumWidth(132)
-            card.clicked.connect(lambda name=name: self._click(name, False))
-            card.double_clicked.connect(lambda name=name: self._open(name))
-            self.cards.addWidget(card, 1)
-            self.card_of[name] = card
-            self.card_pictures.append((picture, name, painted))
-        if len(exemplars) < 4:
-            self.cards.addStretch(4 - len(exemplars))
-        self._show_cards_current()
-        self._pictures_changed()
-
-    def _show_cards_current(self) -> None:
-        for name, card in getattr(self, "card_of", {}).items():
-            card.set_current(name == self.session.shape)
-
     def _pictures_changed(self) -> None:
         """Another picture has arrived: put all that are there where they belong."""
         groups = groups_of(self.session)
@@ -397,10 +295,7 @@ class CollectionPlace:
         names = self.session.project.names
         for picture, g in getattr(self, "group_pictures", ()):
             picture.set_pixmap(self._map_picture_of_group(names[groups.exemplars[g]], g, len(groups)))
-        for picture, name, painted in getattr(self, "card_pictures", ()):
-            g = group_of(self.session, name)
-            shown = self.pictures.shape(name, MAP_PICTURE, parts="painted") if painted else None
-            picture.set_pixmap(shown or self._map_picture_of_group(name, g, len(groups)))
+        self.strip.show_pictures(self.pictures)
         exemplar = names[groups.exemplars[min(self.group, len(groups) - 1)]]
         parts = "painted" if self.session.project.label_key(exemplar) else ""
         self.preview.set_pixmap(self.pictures.shape(exemplar, PREVIEW_PIXELS, parts=parts))
@@ -409,55 +304,10 @@ class CollectionPlace:
         return self.pictures.shape(name, MAP_PICTURE, colour=rgb(group_colour(g, count)))
 
     def _show_progress(self) -> None:
-        if not self._here():
-            return
-        session, progress = self.session, self.session.progress
-        running = session.running
-        self.bar.setVisible(running)
-        self.stop.setVisible(running)
-        self.next.setVisible(not running)
-        self.done_icon.setVisible(not running and bool(session.status))
-        if running and progress is not None:
-            self.bar.setRange(0, max(progress.of, 1))
-            self.bar.setValue(progress.step)
-            left = f" · {duration(progress.seconds_left)} left" if progress.seconds_left is not None else ""
-            self.status.setText(f"{PHASES.get(progress.stage, progress.stage)} {progress.step} of {progress.of}{left}")
-        elif running:
-            self.bar.setRange(0, 0)
-            self.status.setText(f"{PHASES.get(session.stage or '', 'Working')}…")
-        else:
-            self.status.setText(session.status or self._group_text())
-            kind = {"warning": "warning", "error": "error"}.get(session.status_kind, "check")
-            set_icon(self.done_icon, kind, {"check": "ok"}.get(kind, kind))
-            self.done_icon.setVisible(bool(self.status.full_text()))
-        self._show_next()
-
-    def _group_text(self) -> str:
-        record = self.session.project.stage_record("group")
-        if not record or "seconds" not in record or groups_of(self.session) is None:
-            return ""
-        return f"Grouped {len(self.session.project.names)} shapes in {duration(record['seconds'])}"
-
-    def _show_next(self) -> None:
-        name, text = self._next()
-        self.next.setText(text)
-        can, why = self.actions.verdict(name)
-        self.next.setEnabled(can)
-        self.next.setToolTip(why if not can else self.actions[name].tooltip)
-
-    def _next(self) -> tuple[str, str]:
-        """The action that is the next step, and what its button says."""
-        if not self.session.project.names:
-            return "import_files", "Import shapes…"
-        if groups_of(self.session) is None:
-            return "group", "Group the shapes"
-        upcoming = next_to_paint(self.session)
-        return ("paint_next", f"Paint {upcoming}") if upcoming else ("go_fit", "Fit the family")
+        if self._here():
+            self.strip.show_progress()
 
     # -- what the user does ----------------------------------------------------------------------------------------
-
-    def _press_next(self) -> None:
-        self.actions.run(self._next()[0])
 
     def _click(self, name: str, add: bool) -> None:
         session = self.session
@@ -507,14 +357,8 @@ class CollectionPlace:
             self._show_hint()
             self._show_exemplar()
 
-    def _copy_problems(self) -> None:
-        text = "\n".join(str(problem) for problem in self.session.project.problems)
-        QGuiApplication.clipboard().setText(text)
-        self.session.say("The list of problems is in the clipboard", "ok")
-
 
 PREVIEW_PIXELS = (PREVIEW[0] * 2, (PREVIEW[1] - PREVIEW_WORDS) * 2)
-PHASES = {"import": "Reading", "group": "Grouping", "cosegment": "Proposing parts", "fit": "Fitting", "learn": "Learning"}
 
 
 def typical_text(groups: object, g: int) -> str:

@@ -14,22 +14,18 @@ from shapeforge.viewer.display import Caption, Display, grid_of
 from shapeforge.viewer.fit_display import (
     FULL_HEAT,
     MeshLayer,
-    Round,
-    TemplateLook,
     mesh_layer,
-    movement,
     point_colours,
     probable_layer,
-    sureness,
     template_view,
     three_views,
 )
-from shapeforge.viewer.fit_record import FitRecord
+from shapeforge.viewer.fit_record import WATCHED_AT_MOST, FitRecord, look_at, moved_text
 from shapeforge.viewer.palette import SWITCHED_OFF, part_colours, tokens
 from shapeforge.viewer.qt.bind import Binding, action_button
-from shapeforge.viewer.qt.fit_widgets import PointPicture, Scrubber, draw_points
+from shapeforge.viewer.qt.fit_report import FitReport
+from shapeforge.viewer.qt.fit_widgets import AlsoWatching, Scrubber, draw_points
 from shapeforge.viewer.qt.icons import refresh, set_icon
-from shapeforge.viewer.qt.plots import Curves
 from shapeforge.viewer.qt.theme import PADDING
 from shapeforge.viewer.qt.widgets import (
     Choice,
@@ -41,12 +37,8 @@ from shapeforge.viewer.qt.widgets import (
     column,
     framed,
     grouped,
-    heading,
-    icon_label,
     label,
     row,
-    scrolled,
-    section,
     separator,
     set_style,
 )
@@ -54,10 +46,7 @@ from shapeforge.viewer.readiness import stage_status
 from shapeforge.viewer.runner import duration
 from shapeforge.viewer.session import Session
 
-WATCHED_AT_MOST = 9
-STILL_MOVING = 0.02
-"""Mean movement (diagonals) in a round above which a shape is said to be still moving."""
-LEGEND_AT_MOST = 5
+LEGEND_AT_MOST = 12
 
 
 class FitPlace:
@@ -86,7 +75,9 @@ class FitPlace:
         self.binding.on(("project",), self._project_changed)
         self.binding.on(("progress",), self._take_progress)
         self.binding.on(("shape", "round", "data", "theme", "watched"), self._show_soon, now=False)
-        self.binding.on(("running", "is_paused", "progress", "status", "shape", "data", "theme"), self._show_run, now=False)
+        self.binding.on(
+            ("running", "is_paused", "progress", "status", "shape", "data", "theme"), self._show_run, now=False
+        )
 
     def enter(self) -> None:
         """Look at the selected shape, else at the first exemplar."""
@@ -145,52 +136,30 @@ class FitPlace:
         self.heads_widget.setLayout(self.head_row)
         self.legend = row(spacing=6, margins=(12, 0, 12, 0))
         legend_bar = framed(self.legend, "view_foot", height=30)
-        self.also_title, self.also_count = label("Also watching", "heading"), label("", "text2")
-        self.sort = Choice("Sort by", [("name", "name"), ("movement", "movement")], "movement")
-        self.sort.chosen.connect(lambda _: self._show_also())
-        self.also_row = row(spacing=4, margins=(12, 0, 12, 6))
-        self.also: list[PointPicture] = []
-        also = framed(
-            column(
-                row(self.also_title, self.also_count, None, self.sort, margins=(PADDING, 4, PADDING, 0)),
-                self.also_row, spacing=2,
-            ),
-            "bar", height=186,
-        )  # fmt: skip
-        self.also_frame = also
+        self.also_watching = AlsoWatching()
+        self.also_watching.sort.chosen.connect(lambda _: self._show_soon())
+        self.also_watching.clicked.connect(self._watch)
         result = QWidget()
         result.setObjectName("centre")
         box = column(self.heads_widget, spacing=0)
         box.addWidget(self.view, 1)
         box.addWidget(legend_bar)
-        box.addWidget(also)
+        box.addWidget(self.also_watching)
         result.setLayout(box)
         result.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         return result
 
     def _make_inspector(self) -> QWidget:
-        self.energy, self.sigma = Curves(), Curves(from_zero=True)
-        self.energy_text = label("", "caption", wrap=True)
-        self.parts_title = label("Parts", "heading")
-        self.part_list = column(spacing=0)
-        self.note_title, self.note_text = label("", "heading", wrap=True), label("", "caption", wrap=True)
-        self.note_show = button("", kind="link", tooltip="Watch these shapes below")
-        self.note_show.clicked.connect(self._watch_off)
-        words = column(self.note_title, self.note_text, 2, row(self.note_show, None), spacing=2)
-        self.note = framed(
-            row(column(icon_label("info", "accent_text"), None), words, margins=(12, 10, 12, 10)), "note"
-        )
-        body = scrolled(
-            section(heading("Energy", "", label("nats per point", "caption")), self.energy, self.energy_text, spacing=4),
-            section(heading("Spread σ by part", "", label("% of size", "caption")), self.sigma, spacing=4),
-            section(row(self.parts_title), self.part_list, self.note, line=False),
-        )
+        self.report = FitReport()
+        self.report.watch.connect(self._watch_all)
         self.correct = action_button(self.actions, "correct", self.binding)
         self.correct_text = label("", "caption", wrap=True)
-        self.next = action_button(self.actions, "go_correspondence", self.binding, text="Compare points", kind="primary")
+        self.next = action_button(
+            self.actions, "go_correspondence", self.binding, text="Compare points", kind="primary"
+        )
         foot = column(self.correct, self.correct_text, self.next, spacing=6, margins=(PADDING, 12, PADDING, 12))
         result = QWidget()
-        result.setLayout(column(body, separator(), foot, spacing=0))
+        result.setLayout(column(self.report, separator(), foot, spacing=0))
         return result
 
     def _make_strip(self) -> QWidget:
@@ -277,9 +246,8 @@ class FitPlace:
         self._show_tools()
         self._show_views()
         self._show_legend()
-        self._show_also()
-        self._show_curves()
-        self._show_parts()
+        self.also_watching.show_shapes(self.record, self.session, self._number(), self._direction())
+        self.report.show_fit(self.record, self.session, self._number())
         self._show_scrubber()
         refresh(self.inspector, self.session.theme)
 
@@ -290,10 +258,6 @@ class FitPlace:
         near = [names[t] for t in groups.members(g)] if g >= 0 else list(names)
         options = [(name, name) for name in near[:24]]
         self.watch.set_options([*options, ("", "Find another…")], session.shape or "")
-
-    def _look(self, template: int) -> TemplateLook | None:
-        looks = self.record.looks
-        return looks[template] if 0 <= template < len(looks) else None
 
     def _layer(self, name: str, kind: str) -> MeshLayer:
         """A mesh layer that keeps its identity, so that an unchanged view is not drawn again."""
@@ -332,7 +296,7 @@ class FitPlace:
             return
         name = session.shape
         now, before = self.record.points(name, number), self.record.points(name, number - 1)
-        look = self._look(now.template) if now is not None else None
+        look = look_at(self.record, now)
         known = now is not None and self.record.beliefs(name) is not None
         display = three_views(
             self._layer(name, "plain"), self._layer(name, "ghost"), look, now, before,
@@ -355,21 +319,25 @@ class FitPlace:
         views = []
         for name in names:
             now, before = self.record.points(name, number), self.record.points(name, number - 1)
-            look = self._look(now.template) if now is not None else None
-            lines = [(name, "strong"), (self._moved_text(name)[0], "plain")]
+            look = look_at(self.record, now)
+            lines = [(name, "strong"), (moved_text(self.record, name, number)[0], "plain")]
             caption = (Caption("top left", tuple(lines)),)
-            views.append(template_view(self._layer(name, "ghost"), look, now, before, self.by.value_text(), caption, 2.6))
+            views.append(
+                template_view(self._layer(name, "ghost"), look, now, before, self.by.value_text(), caption, 2.6)
+            )
         return Display(tuple(views), rows, columns)
 
     def _show_legend(self) -> None:
         clear(self.legend)
         looks = self.record.looks
         if self.by.value_text() == "movement":
-            self.legend.addWidget(label(f"pale: at rest · dark red: moved {100 * FULL_HEAT:g}% of size or more", "caption"))
+            self.legend.addWidget(
+                label(f"pale: at rest · dark red: moved {100 * FULL_HEAT:g}% of size or more", "caption")
+            )
         elif looks:
             names = looks[0].part_names
             inks = part_colours(len(names))
-            for part, name in enumerate(names[:12]):
+            for part, name in enumerate(names[:LEGEND_AT_MOST]):
                 self.legend.addWidget(Swatch("#{:02X}{:02X}{:02X}".format(*inks[part]), size=10))
                 self.legend.addWidget(label(name, "caption"))
                 self.legend.addSpacing(6)
@@ -383,47 +351,6 @@ class FitPlace:
             self.legend.addWidget(label(said, "caption"))
         self.legend.addStretch(1)
 
-    def _moved_text(self, name: str) -> tuple[str, bool]:
-        known: Round | None = self.record.rounds.get(self._number())
-        moved = known.moved.get(name) if known is not None else None
-        if moved is None:  # a fit from disk: its rounds tell
-            now, before = self.record.points(name, self._number()), self.record.points(name, self._number() - 1)
-            far = None if now is None else movement(now, before)
-            if far is None:
-                return "", False
-            moved = float(far.mean())
-        still = moved > STILL_MOVING
-        return f"{'still moving' if still else 'moved'} {100 * moved:.1f}%", still
-
-    def _show_also(self) -> None:
-        session, number = self.session, self._number()
-        names = [name for name in session.watched if name in session.project.names]
-        known = self.record.rounds.get(number)
-        if self.sort.value_text() == "movement" and known is not None and known.moved:
-            names.sort(key=lambda name: -known.moved.get(name, 0.0))
-        elif self.sort.value_text() == "name":
-            names.sort()
-        self.also_count.setText(f"{len(names)} of {len(session.project.names)}")
-        if [one.name for one in self.also] != names:
-            clear(self.also_row)
-            self.also = []
-            for name in names:
-                one = PointPicture(name, (84, 130))
-                one.clicked.connect(self._watch)
-                self.also_row.addWidget(one, 1)
-                self.also.append(one)
-        for one in self.also:
-            now = self.record.points(one.name, number)
-            look = self._look(now.template) if now is not None else None
-            if now is None or look is None or len(look.label) != len(now.positions):
-                one.show_points(None, None)
-            else:
-                one.show_points(now.positions, point_colours(look, now, "part"))
-            one.caption, one.warn = self._moved_text(one.name)
-            one.current = one.name == session.shape
-            one.look_from(self._direction())
-            one.update()
-
     def _direction(self) -> tuple[float, ...]:
         if not self.session.linked:
             return (1.0, 0.6, 1.5)
@@ -432,89 +359,15 @@ class FitPlace:
         return tuple(float(v) for v in away / np.linalg.norm(away))
 
     def _camera_moved(self) -> None:
-        for one in self.also:
+        for one in self.also_watching.pictures:
             one.look_from(self._direction())
-
-    def _show_curves(self) -> None:
-        session, rounds = self.session, self.record.rounds
-        numbers = sorted(rounds)
-        of = self.record.planned
-        look = tokens(session.theme)
-        at = float(self._number()) if numbers else None
-        energies = [rounds[n].energy for n in numbers]
-        self.energy.set_theme(session.theme)
-        self.sigma.set_theme(session.theme)
-        self.energy.set_series([(numbers, energies, look["accent"])], of, at)
-        names = self.record.looks[0].part_names if self.record.looks else ()
-        inks = ["#{:02X}{:02X}{:02X}".format(*ink) for ink in part_colours(len(names))]
-        curves = [
-            (numbers, [100 * float(rounds[n].sigma[part]) for n in numbers], inks[part]) for part in range(len(names))
-        ]
-        self.sigma.set_series(curves, of, at)
-        self.energy_text.setText(self._energy_text())
-
-    def _energy_text(self) -> str:
-        number, rounds = self._number(), self.record.rounds
-        if number < 1:
-            return "The curve starts with the first round."
-        now, before = rounds.get(number), rounds.get(number - 1)
-        if now is None:
-            return "Of this round only the positions were recorded."
-        parts = []
-        if before is not None and np.isfinite(before.energy):
-            parts.append(f"This round {now.energy - before.energy:+.3f} nats.".replace("-", "−"))
-        else:
-            parts.append(f"{now.energy:.3f} nats.".replace("-", "−"))
-        if np.isfinite(now.change):
-            parts.append(f"Points moved {100 * now.change:.2f}% of size.")
-        if now.stop_reason:
-            parts.append(f"Stopped: {now.stop_reason}.")
-        return " ".join(parts)
-
-    def _show_parts(self) -> None:
-        clear(self.part_list)
-        name = self.session.shape or ""
-        self.parts_title.setText(f"Parts of {name}")
-        beliefs = self.record.beliefs(name) if self.record.looks else None
-        self._off: tuple[str, ...] = ()
-        self.note.setVisible(False)
-        if beliefs is None or self.record.newest < 1:
-            self.part_list.addWidget(label("Known after the first round.", "caption"))
-            return
-        names = self.record.looks[0].part_names
-        inks = part_colours(len(names))
-        sure = sureness(np.asarray(beliefs.segmentation, float))
-        for part, part_name in enumerate(names):
-            on = bool(beliefs.active[part])
-            swatch = Swatch("#{:02X}{:02X}{:02X}".format(*inks[part]))
-            swatch.setEnabled(on)
-            said = label(part_name, "" if on else "off")
-            if not on:
-                state = label("off", "off")
-            elif np.isnan(sure[part]):
-                state = label("no points", "warning")
-            else:
-                state = label(f"{100 * sure[part]:.0f}% sure", "text2" if sure[part] > 0.75 else "warning")
-            self.part_list.addWidget(framed(row(swatch, 4, said, None, state), "", height=30))
-        off = [part for part in range(len(names)) if not beliefs.active[part]]
-        if off:
-            part = off[0]
-            worth = float(beliefs.misfit[part])
-            self._off = self.record.off_elsewhere(part, name)
-            also = f" Also on {len(self._off)} other shapes." if self._off else ""
-            self.note_title.setText(f"{', '.join(names[p] for p in off)}: switched off")
-            reason = f"Explains the surface only {worth:.1f} nats a point better than the rest."
-            self.note_text.setText(f"{reason if np.isfinite(worth) else 'The rest explains the surface.'}{also}")
-            self.note_show.setText(f"Show the {min(len(self._off), WATCHED_AT_MOST)}")
-            self.note_show.setVisible(bool(self._off))
-            self.note.setVisible(True)
 
     def _show_scrubber(self) -> None:
         name, number = self.session.shape, self._number()
         pictures: dict[int, QImage] = {}
         for n in range(self.record.newest + 1):
             points = self.record.points(name, n) if name else None
-            look = self._look(points.template) if points is not None else None
+            look = look_at(self.record, points)
             if look is None or len(look.label) != len(points.positions):
                 continue
             stamp = (name, n)
@@ -543,7 +396,9 @@ class FitPlace:
         newest = self.record.newest
         self.round_text.setText(f"Round {max(newest, 0)} of {self.record.planned}" if newest >= 0 else "Not fitted yet")
         left = progress.seconds_left if mine and progress is not None else None
-        self.left_text.setText(f"· {duration(left)} left" if left is not None else "· paused" if session.is_paused else "")
+        self.left_text.setText(
+            f"· {duration(left)} left" if left is not None else "· paused" if session.is_paused else ""
+        )
         self.phase_text.setText(self._phase(mine, finished))
 
     def _phase(self, mine: bool, finished: bool) -> str:
@@ -572,5 +427,5 @@ class FitPlace:
     def _correct(self, session: Session) -> None:
         session.place = "paint"
 
-    def _watch_off(self) -> None:
-        self.session.watched = self._off[:WATCHED_AT_MOST]
+    def _watch_all(self, names: tuple[str, ...]) -> None:
+        self.session.watched = names

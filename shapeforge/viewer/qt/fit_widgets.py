@@ -5,22 +5,29 @@ from __future__ import annotations
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
-from PySide6.QtWidgets import QWidget
+from PySide6.QtWidgets import QFrame, QWidget
 
-from shapeforge.viewer.fit_display import to_plane
+from shapeforge.viewer.fit_display import point_colours, to_plane
+from shapeforge.viewer.fit_record import FitRecord, look_at, moved_text
 from shapeforge.viewer.palette import tokens
-from shapeforge.viewer.qt.theme import colours, font
+from shapeforge.viewer.qt.theme import PADDING, colours, font
+from shapeforge.viewer.qt.widgets import Choice, clear, column, label, row
+from shapeforge.viewer.session import Session
 
 
 def draw_points(
-    positions: np.ndarray, point_colours: np.ndarray, size: tuple[int, int], direction: tuple[float, ...], dot: int = 2
+    positions: np.ndarray,
+    colours_of_points: np.ndarray,
+    size: tuple[int, int],
+    direction: tuple[float, ...],
+    dot: int = 2,
 ) -> QImage:
     """A picture (device pixels) of points (n, 3) with colours (n, 3), far ones first; NaN rows are left out."""
     width, height = size
     picture = np.zeros((height, width, 4), np.uint8)
     there = np.isfinite(positions).all(axis=1)
     flat = to_plane(positions[there], direction)
-    inks = point_colours[there]
+    inks = colours_of_points[there]
     if len(flat):
         low, high = flat[:, :2].min(axis=0), flat[:, :2].max(axis=0)
         room = np.array([width - dot - 4, height - dot - 4])
@@ -53,10 +60,10 @@ class PointPicture(QWidget):
         self.setAttribute(Qt.WidgetAttribute.WA_Hover)
         self.setToolTip(f"Watch {name}")
 
-    def show_points(self, positions: np.ndarray | None, point_colours: np.ndarray | None) -> None:
+    def show_points(self, positions: np.ndarray | None, inks: np.ndarray | None) -> None:
         """Show other points (None: none are known)."""
-        known = positions is not None and point_colours is not None
-        self._points = (positions, point_colours) if known else None
+        known = positions is not None and inks is not None
+        self._points = (positions, inks) if known else None
         self._image = None
         self.update()
 
@@ -94,7 +101,9 @@ class PointPicture(QWidget):
         painter.drawText(QRectF(2, self.height() - 38, self.width() - 4, 17), Qt.AlignmentFlag.AlignCenter, words)
         painter.setFont(font(11))
         painter.setPen(QColor(look["warning" if self.warn else "text_2"]))
-        painter.drawText(QRectF(2, self.height() - 21, self.width() - 4, 16), Qt.AlignmentFlag.AlignCenter, self.caption)
+        painter.drawText(
+            QRectF(2, self.height() - 21, self.width() - 4, 16), Qt.AlignmentFlag.AlignCenter, self.caption
+        )
 
 
 class Scrubber(QWidget):
@@ -115,7 +124,7 @@ class Scrubber(QWidget):
         return QSize(700, 92)
 
     def set_state(self, of: int, recorded: int, at: int, share: float, pictures: dict[int, QImage]) -> None:
-        """``recorded`` is the newest recorded round (-1: none), ``at`` the one looked at, ``share`` of the next done."""
+        """``recorded`` is the newest recorded round (-1: none), ``at`` the one looked at, ``share`` of the next."""
         self.of, self.recorded, self.at, self.share = max(of, 1), recorded, at, share
         self._pictures = pictures
         self.update()
@@ -180,3 +189,47 @@ class Scrubber(QWidget):
             painter.setPen(QPen(QColor(look["accent"]), 1))
             painter.setBrush(Qt.BrushStyle.NoBrush)
             painter.drawRoundedRect(QRectF(self.rect()).adjusted(0.5, 0.5, -0.5, -0.5), 5, 5)
+
+
+class AlsoWatching(QFrame):
+    """A row of watched shapes below the views; a click looks at one."""
+
+    clicked = Signal(str)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setObjectName("bar")
+        self.setFixedHeight(186)
+        self.pictures: list[PointPicture] = []
+        self.count = label("", "text2")
+        self.sort = Choice("Sort by", [("name", "name"), ("movement", "movement")], "movement")
+        self._row = row(spacing=4, margins=(12, 0, 12, 6))
+        head = row(label("Also watching", "heading"), self.count, None, self.sort, margins=(PADDING, 4, PADDING, 0))
+        self.setLayout(column(head, self._row, spacing=2))
+
+    def show_shapes(self, record: FitRecord, session: Session, number: int, direction: tuple[float, ...]) -> None:
+        """Show the watched shapes after round ``number``, seen from ``direction``."""
+        names = [name for name in session.watched if name in session.project.names]
+        known = record.rounds.get(number)
+        if self.sort.value_text() == "name":
+            names.sort()
+        elif known is not None and known.moved:
+            names.sort(key=lambda name: -known.moved.get(name, 0.0))
+        self.count.setText(f"{len(names)} of {len(session.project.names)}")
+        if [one.name for one in self.pictures] != names:
+            clear(self._row)
+            self.pictures = [PointPicture(name, (84, 130)) for name in names]
+            for one in self.pictures:
+                one.clicked.connect(self.clicked)
+                self._row.addWidget(one, 1)
+        for one in self.pictures:
+            now = record.points(one.name, number)
+            look = look_at(record, now)
+            if now is None or look is None or len(look.label) != len(now.positions):
+                one.show_points(None, None)
+            else:
+                one.show_points(now.positions, point_colours(look, now, "part"))
+            one.caption, one.warn = moved_text(record, one.name, number)
+            one.current = one.name == session.shape
+            one.look_from(direction)
+            one.update()

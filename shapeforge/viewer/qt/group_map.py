@@ -270,7 +270,9 @@ class GroupMap(QWidget):
             painter.setFont(font(11, 500 if chosen else 400))
             painter.setPen(QColor(tokens["text" if chosen else "text_2"]))
             words = QFontMetricsF(painter.font()).elidedText(name, Qt.TextElideMode.ElideMiddle, tile - 16)
-            painter.drawText(box.adjusted(4, 0, -4, -5), Qt.AlignmentFlag.AlignHCenter | Qt.AlignmentFlag.AlignBottom, words)
+            painter.drawText(
+                box.adjusted(4, 0, -4, -5), Qt.AlignmentFlag.AlignHCenter | Qt.AlignmentFlag.AlignBottom, words
+            )
         if exemplar:
             corner = box.topRight() + QPointF(-13, 13) if in_rows else centre + QPointF(0.4, -0.4) * tile
             self._paint_star(painter, tokens, corner, QColor(tokens["accent"]) if chosen else colour)

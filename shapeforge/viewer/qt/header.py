@@ -13,7 +13,6 @@ from shapeforge.viewer.qt.theme import HEADER, PADDING
 from shapeforge.viewer.qt.widgets import ElidedLabel, button, clear, icon_label, label, row, separator
 from shapeforge.viewer.runner import duration
 
-
 SHOWN_MS = 6000
 """How long good news stay; warnings and errors stay until something else is said."""
 _SIGNS = {"ok": "check", "warning": "warning", "error": "error"}
@@ -92,7 +91,8 @@ class Header(QFrame):
         self._fade.timeout.connect(self._hide_status)
         self.setLayout(
             row(
-                holder, 16, self.sign, self.status, None, self.search, 4, separator(vertical=True), 4, self.undo, self.redo, 4,
+                holder, 16, self.sign, self.status, None, self.search, 4, separator(vertical=True), 4, self.undo,
+                self.redo, 4,
                 separator(vertical=True), 4, self.picture, self.more, spacing=4, margins=(PADDING, 0, 12, 0),
             )
         )  # fmt: skip

@@ -111,5 +111,3 @@ class EmptyPlace:
 
     def leave(self) -> None:
         """Nothing to do."""
-
-

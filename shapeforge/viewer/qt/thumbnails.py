@@ -69,7 +69,12 @@ class Thumbnails(QObject):
         return None
 
     def shape(
-        self, name: str, size: int | tuple[int, int] = 96, *, colour: tuple[int, int, int] | None = None, parts: str = ""
+        self,
+        name: str,
+        size: int | tuple[int, int] = 96,
+        *,
+        colour: tuple[int, int, int] | None = None,
+        parts: str = "",
     ) -> QPixmap | None:
         """Picture of a shape without background, in one ``colour``, or by ``parts``: "painted" or "fitted"."""
         from shapeforge.viewer.pictures import shape_picture

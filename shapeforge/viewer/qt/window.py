@@ -330,4 +330,3 @@ class Window(QWidget):
             if shut is not None:
                 shut()
         super().closeEvent(event)
-
