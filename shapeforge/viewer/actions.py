@@ -160,16 +160,15 @@ class Actions(Mapping[str, Action]):
         from shapeforge.collection.families import write_family
         from shapeforge.store import Project
 
-        meshes = folder / "meshes"
-        write_family(meshes, "chairs", count, seed=seed)
         project = Project.open_or_create(folder / "project")
         self.session.open(project)
-        self.desk.start(
-            "import",
-            lambda: _one_after_another(
-                stages.run(project, "import", meshes=[meshes]), lambda: stages.run(project, "group")
-            ),
-        )
+
+        def make() -> Iterator[Any]:
+            write_family(folder / "meshes", "chairs", count, seed=seed)
+            yield from stages.run(project, "import", meshes=[folder / "meshes"])
+            yield from stages.run(project, "group")
+
+        self.desk.start("import", make)
 
 
 def _one_after_another(first: Iterator[Any], second: Callable[[], Iterator[Any]]) -> Iterator[Any]:

@@ -208,3 +208,13 @@ def test_nothing_starts_while_something_runs(actions, desk, fitted):
     assert actions.run("stop")
     assert desk.controlled == ["pause", "resume", "step", "stop"]
     assert desk.started == []
+
+
+def test_the_demo_family_is_made_imported_and_grouped(actions, desk, tmp_path):
+    actions.try_demo(tmp_path / "demo", count=4)
+    [(name, make)] = desk.started
+    assert name == "import" and actions.session.project.names == ()
+    stages_seen = {progress.stage for progress in make()}
+    assert stages_seen == {"import", "group"}
+    project = Project.open(tmp_path / "demo" / "project")
+    assert len(project.names) == 4 and project.groups is not None
