@@ -37,22 +37,41 @@ KEPT = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Corresponded:
-    """One fitted shape, ready to be shown: a mesh fine enough for heat, and its K corresponding points.
+class Known:
+    """What the fit says of one shape's K corresponding points, without its mesh: small, so it is kept for all shapes.
 
-    ``face`` (N,) is the face record of each shown triangle; ``spread`` (K,) the standard deviation of each point in
-    diagonals; ``confidence`` (K,) in 0..1, 0 where absent; ``nearest`` (V,) the template point nearest to each vertex.
+    ``spread`` (K,) is the standard deviation of each point in diagonals, ``confidence`` (K,) in 0..1, 0 where absent.
+    """
+
+    positions: Float[np.ndarray, "K 3"]
+    existence: Bool[np.ndarray, " K"]
+    spread: Float[np.ndarray, " K"]
+    confidence: Float[np.ndarray, " K"]
+
+
+@dataclass(frozen=True, eq=False)
+class Corresponded:
+    """One fitted shape, ready to be shown: a mesh fine enough for heat, and what is :class:`Known` of its points.
+
+    ``face`` (N,) is the face record of each shown triangle; ``nearest`` (V,) the template point nearest to each vertex.
     """
 
     name: str
     vertices: Float[np.ndarray, "V 3"]
     triangles: Int[np.ndarray, "N 3"]
     face: Int[np.ndarray, " N"]
-    positions: Float[np.ndarray, "K 3"]
-    existence: Bool[np.ndarray, " K"]
-    spread: Float[np.ndarray, " K"]
-    confidence: Float[np.ndarray, " K"]
     nearest: Int[np.ndarray, " V"]
+    known: Known
+
+    @property
+    def positions(self) -> Float[np.ndarray, "K 3"]:
+        """Places (K, 3) of the points, NaN where absent."""
+        return self.known.positions
+
+    @property
+    def existence(self) -> Bool[np.ndarray, " K"]:
+        """Which points the shape has (K,)."""
+        return self.known.existence
 
 
 def fine_mesh(
@@ -131,6 +150,7 @@ class Lightbox:
         self.session = session
         self._fit_id: Any = None
         self._shapes: OrderedDict[str, Corresponded] = OrderedDict()
+        self._known: dict[str, Known] = {}
         self._layers: dict[tuple, MeshLayer] = {}
 
     def reload(self) -> bool:
@@ -141,6 +161,7 @@ class Lightbox:
             return False
         self._fit_id = fit_id
         self._shapes.clear()
+        self._known.clear()
         self._layers.clear()
         self.names = () if project is None else project.fit_names
         hierarchy = None if project is None else project.hierarchy()
@@ -156,6 +177,21 @@ class Lightbox:
         """Number of top-level template points K."""
         return self.top.n_points
 
+    def known(self, name: str) -> Known:
+        """What is known of a shape's points, read now when it has not been."""
+        if name not in self._known:
+            project = self.session.project
+            positions, existence = project.positions(name), np.asarray(project.existence(name), bool)
+            beliefs = project.beliefs(name)
+            link = self._links[beliefs.template]
+            variance = (link.weight * beliefs.variance.mean(axis=1)[link.index]).sum(axis=1) + self._noise
+            deformed = np.einsum("kj,kji->ki", link.weight, beliefs.deformed[link.index])
+            gap = np.nan_to_num(np.linalg.norm(deformed - positions, axis=1), nan=1.0)
+            spread = np.sqrt(variance)
+            sure = np.where(existence, confidence_of(spread, gap), 0.0)
+            self._known[name] = Known(np.asarray(positions, float), existence, spread, sure)
+        return self._known[name]
+
     def shape(self, name: str) -> Corresponded:
         """One fitted shape, loaded now when it has not been."""
         if name in self._shapes:
@@ -164,21 +200,13 @@ class Lightbox:
         project = self.session.project
         mesh = project.shapes[list(project.names).index(name)].mesh
         vertices, triangles, face = fine_mesh(mesh.vertices, mesh.triangles, mesh.face_of_triangle)
-        positions, existence = project.positions(name), np.asarray(project.existence(name), bool)
-        beliefs = project.beliefs(name)
-        link = self._links[beliefs.template]
-        variance = (link.weight * beliefs.variance.mean(axis=1)[link.index]).sum(axis=1) + self._noise
-        deformed = np.einsum("kj,kji->ki", link.weight, beliefs.deformed[link.index])
-        gap = np.nan_to_num(np.linalg.norm(deformed - positions, axis=1), nan=1.0)
-        spread = np.sqrt(variance)
+        known = self.known(name)
+        positions, existence = known.positions, known.existence
         present = np.flatnonzero(existence & np.isfinite(positions).all(axis=1))
         nearest = np.zeros(len(vertices), int)
         if len(present):
             nearest = present[cKDTree(positions[present]).query(vertices)[1]]
-        made = Corresponded(
-            name, vertices, triangles, face, np.asarray(positions, float), existence, spread,
-            np.where(existence, confidence_of(spread, gap), 0.0), nearest,
-        )  # fmt: skip
+        made = Corresponded(name, vertices, triangles, face, nearest, known)
         self._shapes[name] = made
         while len(self._shapes) > KEPT:
             old, _ = self._shapes.popitem(last=False)
@@ -189,24 +217,24 @@ class Lightbox:
 
     def confidence(self, name: str, point: int | None) -> float:
         """Confidence in 0..1 of one template point on a shape (0 where absent), or the mean over those present."""
-        shape = self.shape(name)
+        known = self.known(name)
         if point is not None:
-            return float(shape.confidence[point])
-        return float(shape.confidence[shape.existence].mean()) if shape.existence.any() else 0.0
+            return float(known.confidence[point])
+        return float(known.confidence[known.existence].mean()) if known.existence.any() else 0.0
 
     def point_at(self, name: str, position: Float[np.ndarray, " 3"]) -> int | None:
         """The template point that lies nearest to a place on a shape; None when the shape has none."""
-        shape = self.shape(name)
-        present = np.flatnonzero(np.isfinite(shape.positions).all(axis=1))
+        positions = self.known(name).positions
+        present = np.flatnonzero(np.isfinite(positions).all(axis=1))
         if not len(present):
             return None
-        return int(present[np.linalg.norm(shape.positions[present] - position, axis=1).argmin()])
+        return int(present[np.linalg.norm(positions[present] - position, axis=1).argmin()])
 
     def distances(self, first: int, second: int) -> dict[str, float]:
         """Straight distance in diagonals between two template points on every shape that has both."""
         found = {}
         for name in self.names:
-            positions = self.session.project.positions(name)
+            positions = self.known(name).positions
             length = float(np.linalg.norm(positions[first] - positions[second]))
             if np.isfinite(length):
                 found[name] = length
@@ -214,8 +242,7 @@ class Lightbox:
 
     def present_on(self, point: int) -> tuple[str, ...]:
         """Names of the shapes that have a template point."""
-        project = self.session.project
-        return tuple(name for name in self.names if bool(np.asarray(project.existence(name))[point]))
+        return tuple(name for name in self.names if self.known(name).existence[point])
 
     def describe(self, point: int) -> str:
         """Words for a template point."""
@@ -289,7 +316,7 @@ class Lightbox:
             colours = self.coordinate[shape.nearest]
         elif colour_by == "spread" and picked is not None and shape.existence[picked]:
             away = ((shape.vertices - shape.positions[picked]) ** 2).sum(axis=1)
-            share = np.exp(-0.5 * away / max(float(shape.spread[picked]), FINEST_EDGE / 1.5) ** 2)
+            share = np.exp(-0.5 * away / max(float(shape.known.spread[picked]), FINEST_EDGE / 1.5) ** 2)
             # Only where the point's own part is: a place on another part is not where it may lie.
             share = share * (self.top.label[shape.nearest] == self.top.label[picked])
             colours = heat(share)
