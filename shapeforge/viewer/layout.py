@@ -13,6 +13,9 @@ SPACING = 1.0
 HULL_MARGIN = 0.72
 GAP = 0.6
 """Free space between the hulls of two groups."""
+TURNS = 6
+PAIRS_TRIED = 60
+"""Pairs of groups kept apart in all turns together: many groups are turned less often, not at all above eleven."""
 
 
 def place_by_likeness(
@@ -29,13 +32,22 @@ def place_by_likeness(
     members = [np.flatnonzero(group == g) for g in groups]
     local = [_spread(embedding[m]) for m in members]
     if groups:
-        means = np.stack([embedding[m].mean(axis=0) for m in members])
-        centres = _keep_apart(means * (1, -1), [points * (1, -1) for points in local], aspect)
-        for m, points, centre in zip(members, local, centres, strict=True):
-            place[m] = points * (1, -1) + centre
         kept = np.concatenate(members)
-        low, high = place[kept].min(axis=0), place[kept].max(axis=0)
-        place[kept] -= (low + high) / 2
+        means = np.stack([embedding[m].mean(axis=0) for m in members])
+        best = np.inf
+        # Likeness knows no left and right: of several turns, the one that fills the view best.
+        pairs = len(groups) * (len(groups) - 1) // 2
+        turns = int(np.clip(PAIRS_TRIED // max(pairs, 1), 1, TURNS))
+        for angle in np.linspace(0, np.pi, turns, endpoint=False):
+            turn = np.array([[np.cos(angle), np.sin(angle)], [np.sin(angle), -np.cos(angle)]])
+            turned = [points @ turn for points in local]
+            centres = _keep_apart(means @ turn, turned, aspect)
+            tried = np.concatenate([points + centre for points, centre in zip(turned, centres, strict=True)])
+            low, high = tried.min(axis=0) - HULL_MARGIN, tried.max(axis=0) + HULL_MARGIN
+            size = max(high[0] - low[0], aspect * (high[1] - low[1]))
+            if size < best:
+                best = size
+                place[kept] = tried - (low + high) / 2
     out = np.flatnonzero(group < 0)
     if len(out):
         top = place[group >= 0, 1].max(initial=-1.0) + 2.2 * HULL_MARGIN + GAP
@@ -91,9 +103,9 @@ def _keep_apart(means: np.ndarray, local: list[np.ndarray], aspect: float) -> np
     index = np.arange(len(means))
     jitter = 1e-3 * np.stack([np.cos(2.4 * index), np.sin(2.4 * index)], axis=1)
     centres = spread * (np.sqrt(size) / max(reach, 1e-9)) + jitter
-    pull = np.array([0.94, 0.94**aspect])
-    for step in range(90):
-        if step < 60:
+    pull = np.array([0.92, 0.92**aspect])
+    for step in range(70):
+        if step < 45:
             centres *= pull
         moved = False
         for _ in range(6):
@@ -109,7 +121,7 @@ def _keep_apart(means: np.ndarray, local: list[np.ndarray], aspect: float) -> np
                         moved = True
             if not moved:
                 break
-        if step >= 60 and not moved:
+        if step >= 45 and not moved:
             break
     return centres
 
