@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Iterator
 from typing import Any
@@ -47,6 +48,14 @@ def follow(project: Any, steps: Iterator[Any], what: str) -> Any:
     return latest
 
 
+class PartlyDone(ValueError):
+    """A verb that did some of what it was asked for; ``summary`` is what ``--json`` shows beside the error."""
+
+    def __init__(self, reason: str, summary: dict[str, Any]) -> None:
+        super().__init__(reason)
+        self.summary = summary
+
+
 def escaped(text: str) -> str:
     """Text without rich's markup, cut to what a terminal line holds."""
     from rich.markup import escape
@@ -76,8 +85,17 @@ def one_line(error: BaseException) -> str:
 
 def print_json(value: dict[str, Any]) -> None:
     """One JSON object on one line, the last of the output."""
-    typer.echo(json.dumps(value, default=_plain))
+    typer.echo(json.dumps(_plain(value), allow_nan=False))
 
 
 def _plain(value: Any) -> Any:
-    return value.item() if hasattr(value, "item") else str(value)
+    """A value in JSON's types: None for what is no finite number, text for what JSON does not know."""
+    if hasattr(value, "tolist"):  # numpy's arrays and numbers
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, bool | int | str) else str(value)

@@ -12,44 +12,32 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from shapeforge.store import Problem, Project, key_of
+from shapeforge.stages_status import (
+    ARGUMENTS,
+    DEFAULTS,
+    NEEDS,
+    REVISION,
+    STAGES,
+    Status,
+    difference,
+    inputs_of,
+    lost_results,
+    next_step,
+    options_of,
+    remedy,
+    status,
+)
+from shapeforge.store import Problem, Project, ProjectError, key_of
 from shapeforge.workers import Workers
 
-STAGES: tuple[str, ...] = ("import", "group", "label", "cosegment", "fit", "learn", "refine", "synthesize")
-
-DEFAULTS: dict[str, dict[str, Any]] = {
-    "import": {"points": 5000, "up": "auto", "seed": 0},
-    "group": {"exemplars": None, "seed": 0},
-    "label": {},
-    "cosegment": {"parts": None, "seed": 0},
-    "fit": {"rounds": 10, "inner": 3, "seed": 0},
-    "learn": {"epochs": None, "seed": 0},
-    "refine": {"alternations": 3, "seed": 0},
-    "synthesize": {"count": 20, "temperature": 1.0, "format": "glb", "out": None, "seed": 0},
-}
-"""Options of every stage.  An option that is not given keeps the value of the project's last run of the stage."""
-
-ARGUMENTS: dict[str, tuple[str, ...]] = {"import": ("meshes",), "label": ("labels", "only")}
-"""What a stage is given besides options: files that are read now and need not be there later."""
-
-NEEDS: dict[str, tuple[str, ...]] = {
-    "import": (),
-    "group": ("import",),
-    "label": ("import",),
-    "cosegment": ("import", "group"),
-    "fit": ("import", "group", "label"),
-    "learn": ("fit",),
-    "refine": ("fit", "learn"),
-    "synthesize": ("fit", "learn"),
-}
-REVISION = 1
-"""Raised when stages mean something else by the same options: results of older revisions are then stale."""
-
-State = Literal["missing", "partial", "done", "stale", "locked"]
+__all__ = [
+    "ARGUMENTS", "DEFAULTS", "NEEDS", "STAGES", "Progress", "StageError", "Status", "Task", "inputs_of", "next_step",
+    "refresh", "run", "status",
+]  # fmt: skip
 
 
 class StageError(ValueError):
@@ -72,14 +60,6 @@ class Progress:
     seconds_left: float | None = None
     state: Any = None
     problem: Problem | None = None
-
-
-@dataclass(frozen=True)
-class Status:
-    """State of a stage, and why in words."""
-
-    state: State
-    reason: str
 
 
 @dataclass
@@ -165,11 +145,11 @@ def _refresh(project: Project, stage: str, workers: Workers, wanted_by: str) -> 
         if not project.labelled:
             state = status(project)["cosegment"]
             if state.state in ("missing", "locked"):
-                raise StageError(f"{wanted_by} needs parts. {_remedy(project, 'label')}")
+                raise StageError(f"{wanted_by} needs parts. {remedy(project, 'label')}")
             yield from _refresh(project, "cosegment", workers, wanted_by)
         return
     if status_now.state in ("missing", "locked"):
-        raise StageError(f"{wanted_by} needs {stage} first. {_remedy(project, stage)}")
+        raise StageError(f"{wanted_by} needs {stage} first. {remedy(project, stage)}")
     if status_now.state in ("stale", "partial") and not (stage == "import" and status_now.state == "stale"):
         yield Progress(stage, status_now.state, 0, 1, f"{stage} first: {status_now.reason}")
         for before in NEEDS[stage]:
@@ -184,16 +164,19 @@ def _run_one(
     arguments = {name: given.get(name) for name in ARGUMENTS.get(stage, ())}
     if record and record["state"] == "partial" and not any(arguments.values()):
         arguments = record.get("arguments", arguments)  # go on with what the killed run was given
-    options = _options(stage, record, given)
+    options = options_of(stage, record, given)
     inputs = inputs_of(project, stage)
     key = key_of(stage, REVISION, options, inputs)
     always = stage in ARGUMENTS  # these look at files outside the project, so they always look
-    if record and record["key"] == key and record["state"] == "done" and not restart and not always:
+    lost = _lost_output(stage, record) or lost_results(project, stage, record)
+    if record and record["key"] == key and record["state"] == "done" and not (restart or always or lost):
         yield Progress(stage, "done", 1, 1, f"{stage} is up to date: nothing to do")
         return
+    if record and record["key"] == key and lost:
+        yield Progress(stage, "stale", 0, 1, f"{stage} is redone: {lost}")
     if record and record["key"] != key and not always:
-        yield Progress(stage, "stale", 0, 1, f"{stage} is redone: {_difference(record, options, inputs)}")
-    going_on = bool(record) and record["key"] == key and record["state"] == "partial" and not restart
+        yield Progress(stage, "stale", 0, 1, f"{stage} is redone: {difference(record, options, inputs)}")
+    going_on = bool(record) and record["key"] == key and (record["state"] == "partial" or bool(lost)) and not restart
     result = record["working"] if going_on and record else _fresh_id(project, stage, key)
     old = {"result": record.get("result"), "of": record.get("of"), "from": record.get("from")} if record else {}
     running = {"key": key, "options": options, "inputs": inputs, "state": "partial", "working": result}
@@ -205,7 +188,13 @@ def _run_one(
         project.clear_result(stage, result)
     task = Task(project, stage, options, arguments, inputs, workers, restart, result, {})
     started = time.monotonic()
-    yield from _function(stage)(task)
+    try:
+        yield from _function(stage)(task)
+    except ProjectError:
+        raise  # the disk's fault: what is there already stays, and the next run goes on
+    except ValueError:  # options or inputs that cannot be used must not be those of the next run
+        project.set_stage_record(stage, record)
+        raise
     if always or stage == "group":
         inputs = inputs_of(project, stage)
         key = key_of(stage, REVISION, options, inputs)
@@ -232,11 +221,17 @@ def _function(stage: str) -> Callable[[Task], Iterator[Progress]]:
     }[stage]
 
 
-def _options(stage: str, record: Mapping[str, Any] | None, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Options as given, else as the last run had them, else the defaults; in JSON's types."""
-    last = record["options"] if record else {}
-    options = {name: given.get(name, last.get(name, default)) for name, default in DEFAULTS[stage].items()}
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in options.items()}
+def _lost_output(stage: str, record: Mapping[str, Any] | None) -> str:
+    """Which of the files that ``synthesize`` wrote outside the project is gone, in words; empty when all are there."""
+    if stage != "synthesize" or not record or record["state"] != "done":
+        return ""
+    summary = record.get("summary") or {}
+    ending = record["options"]["format"]
+    for name in summary.get("names", ()):
+        for file in (Path(summary["out"]) / f"{name}.{ending}", Path(summary["out"]) / f"{name}.seg"):
+            if not file.is_file():
+                return f"{file} is gone"
+    return ""
 
 
 def _absolute(paths: str | Path | Sequence[str | Path]) -> list[str]:
@@ -252,142 +247,3 @@ def _fresh_id(project: Project, stage: str, key: str) -> str:
     while name == taken:
         name, number = f"{key}-{number}", number + 1
     return name
-
-
-def inputs_of(project: Project, stage: str) -> dict[str, Any]:
-    """Keys of all that a stage computes from, by a word for each."""
-
-    def result_of(stage: str) -> str | None:
-        record = project.stage_record(stage) or {}
-        return record.get("result")
-
-    shapes = key_of([[name, project.shape_record(name)["key"]] for name in project.names])
-    labels = [[name, project.label_key(name)] for name in project.labelled]
-    parts = list(project.part_names.names) if project.part_names else []
-    if stage == "import":
-        return {"shapes": shapes}
-    if stage == "group":
-        return {"shapes": shapes}
-    if stage == "label":
-        return {"labels": key_of(labels, parts)}
-    if stage == "cosegment":
-        return {"shapes": shapes, "groups": project.groups_key}
-    if stage == "fit":
-        start = {"labels": key_of(labels, parts)} if labels else {"first parts": result_of("cosegment")}
-        return {"shapes": shapes, "groups": project.groups_key, **start}
-    if stage == "learn":
-        return {"fit": result_of("fit")}
-    if stage == "refine":
-        return {"fit": result_of("fit"), "machine": result_of("learn")}
-    return {"fit": project.fit_id, "machine": project.machine_id}
-
-
-def _difference(record: Mapping[str, Any], options: Mapping[str, Any], inputs: Mapping[str, Any]) -> str:
-    """What changed since a stage was run, in words."""
-    old_inputs, old_options = record.get("inputs", {}), record.get("options", {})
-    changed = [f"the {name} changed" for name, value in inputs.items() if old_inputs.get(name) != value]
-    for name, value in options.items():
-        if old_options.get(name) != value:
-            changed.append(f"{name} {value} instead of {old_options.get(name)}")
-    return ", ".join(changed) or "it was made by another version of shapeforge"
-
-
-def status(project: Project) -> dict[str, Status]:
-    """State of every stage, in order, each with a reason that can be shown."""
-    found: dict[str, Status] = {}
-    for stage in STAGES:
-        found[stage] = _status(project, stage, found)
-    return found
-
-
-def _status(project: Project, stage: str, before: Mapping[str, Status]) -> Status:
-    record = project.stage_record(stage)
-    if stage == "import":
-        return _import_status(project, record)
-    if stage == "label":
-        return _label_status(project)
-    needs = NEEDS[stage]
-    if stage == "fit":  # parts may come from labels or be proposed
-        has_parts = bool(project.labelled) or before["cosegment"].state not in ("missing", "locked")
-        needs = ("import", "group")
-        if record is None and before["group"].state == "done" and not has_parts:
-            return Status("locked", "needs labels on the exemplars, or proposed parts")
-    for name in needs:
-        if before[name].state in ("missing", "locked"):
-            return Status("locked", f"needs {name} first")
-    if record is None:
-        if stage == "group" and project.groups_key is not None:
-            return Status("done", "grouped by hand")
-        return Status("missing", "not done yet")
-    options = _options(stage, record, {})
-    inputs = inputs_of(project, stage)
-    if record["key"] != key_of(stage, REVISION, options, inputs):
-        return Status("stale", _difference(record, options, inputs))
-    used = (*needs, "cosegment") if stage == "fit" and not project.labelled else needs
-    for name in used:
-        if before[name].state in ("stale", "partial") and name != "import":
-            return Status("stale", f"{name} is {before[name].state}: {before[name].reason}")
-    if record["state"] == "partial":
-        return Status("partial", "was stopped; it goes on where it was")
-    summary = record.get("summary") or {}
-    return Status("done", str(summary.get("text", "done")))
-
-
-def _import_status(project: Project, record: Mapping[str, Any] | None) -> Status:
-    number = len(project.names)
-    if not number:
-        return Status("missing", "no shapes yet")
-    if record and record["state"] == "partial":
-        return Status("partial", f"was stopped after {number} shapes; it goes on with the rest")
-    changed = project.changed_sources()
-    if changed:
-        some = ", ".join(changed[:3]) + (", …" if len(changed) > 3 else "")
-        return Status("stale", f"{len(changed)} files changed since they were read ({some})")
-    return Status("done", f"{number} shapes")
-
-
-def _label_status(project: Project) -> Status:
-    if not project.names:
-        return Status("locked", "needs import first")
-    labelled, groups = set(project.labelled), project.groups
-    if not labelled:
-        return Status("missing", "no shape has labels")
-    if groups is not None:
-        exemplars = [project.names[t] for t in groups.exemplars]
-        without = [name for name in exemplars if name not in labelled]
-        if len(without) == len(exemplars):
-            return Status("partial", f"no exemplar has labels: label {', '.join(without)}")
-        if without:
-            return Status("done", f"{len(labelled)} shapes; exemplars without labels: {', '.join(without)}")
-    return Status("done", f"{len(labelled)} shapes")
-
-
-def next_step(project: Project) -> str:
-    """One sentence: the command that is most worth running next."""
-    states = status(project)
-    required = ("import", "group", "label", "fit", "learn", "synthesize")
-    for stage in required:
-        state = states[stage].state
-        if stage == "label" and not project.labelled and states["cosegment"].state == "done":
-            continue
-        if state != "done" and not (stage == "import" and state == "stale"):
-            return _remedy(project, stage)
-    return f"Export the results: shapeforge export {project.path} --out DIR"
-
-
-def _remedy(project: Project, stage: str) -> str:
-    path = project.path
-    groups = project.groups
-    exemplars = [project.names[t] for t in groups.exemplars] if groups is not None else []
-    which = f" ({', '.join(exemplars[:4])}{', …' if len(exemplars) > 4 else ''})" if exemplars else ""
-    return {
-        "import": f"Import meshes: shapeforge import {path} MESHES",
-        "group": f"Group the shapes: shapeforge group {path}",
-        "label": f"Label the exemplars{which}: shapeforge label {path} LABELS --only exemplars, paint them in "
-        f"shapeforge view {path}, or let parts be proposed: shapeforge cosegment {path}",
-        "cosegment": f"Propose parts: shapeforge cosegment {path}",
-        "fit": f"Fit the templates: shapeforge fit {path}",
-        "learn": f"Learn the Beta Shape Machine: shapeforge learn {path}",
-        "refine": f"Refine the fit: shapeforge refine {path}",
-        "synthesize": f"Make new shapes: shapeforge synthesize {path} --count 20 --out DIR",
-    }[stage]

@@ -50,7 +50,8 @@ def import_meshes(task: Task) -> Iterator[Progress]:
         raise StageError(str(error)) from error
     if not found and not project.names:
         raise StageError(f"meshes: wanted files or folders to import into {project.path}, got none")
-    readings, kept, failed = _plan(task, _named(project, found))
+    named = _named(project, found)
+    readings, kept, failed = _plan(task, named)
     total = len(readings) + len(kept)
     problems: list[Problem] = list(failed)
     for problem in failed:
@@ -58,7 +59,7 @@ def import_meshes(task: Task) -> Iterator[Progress]:
     if kept and readings:
         yield task.progress("read", len(kept), total, f"{len(kept)} shapes are there already")
     records: dict[str, dict[str, Any]] = {}
-    read, saved = 0, time.monotonic()
+    records_read, saved = set(), time.monotonic()
     results = task.workers.map(lambda reading: _import_one(project, reading, task.options), readings)
     for step, (reading, (record, found_problems, error)) in enumerate(zip(readings, results, strict=True), len(kept)):
         problems += found_problems
@@ -66,7 +67,7 @@ def import_meshes(task: Task) -> Iterator[Progress]:
             project.log(f"import: {reading.source}", error)
         if record is not None:
             records[reading.name] = record
-            read += 1
+            records_read.add(reading.name)
         if time.monotonic() - saved > SECONDS_BETWEEN_SAVES:
             project.add_shapes(records)
             records, saved = {}, time.monotonic()
@@ -78,9 +79,18 @@ def import_meshes(task: Task) -> Iterator[Progress]:
     project.set_problems(problems, about)
     errors = sum(problem.kind == "error" for problem in problems)
     text = f"{len(project.names)} shapes" + (f", {errors} files not read" if errors else "")
-    task.summary |= {"text": text, "shapes": len(project.names), "read": read, "kept": len(kept), "not_read": errors}
+    task.summary |= {
+        "text": text,
+        "shapes": len(project.names),
+        "read": len(records_read),
+        "kept": len(kept),
+        "not_read": errors,
+    }
     if not project.names:
         raise StageError(f"none of the {errors} files could be read: {problems[0]}")
+    given_names = {name for name, _ in named}
+    if named and not given_names & {*kept, *records_read}:
+        raise StageError(f"nothing new was read: {problems[0]}")
     yield task.progress("read", total, total, text)
 
 
@@ -226,11 +236,13 @@ def label(task: Task) -> Iterator[Progress]:
     if not folder.is_dir():
         raise StageError(f"{folder}: is not a folder. Name the folder that holds the .seg files.")
     wanted, by_name = _wanted(project, task.arguments["only"])
+    asked = bool(task.arguments["only"])
     try:
         given = find_part_names(folder)
     except LabelError as error:
         raise StageError(str(error)) from error
-    part_names = merged_part_names(project.part_names if project.labelled else None, given)
+    kept = any(not _can_be_read(project, folder, name, wanted) for name in project.labelled)
+    part_names = merged_part_names(project.part_names if kept else None, given)
     translate = np.array([part_names.ids.index(part) for part in given.ids] + [-1], np.int32)
     taken, problems, absent = [], [], []
     project.set_part_names(part_names)
@@ -240,6 +252,8 @@ def label(task: Task) -> Iterator[Progress]:
         if not file.is_file():
             absent.append(name)
             message = f"{name}: no {file.name}"
+            if asked:
+                problem = Problem(str(file.resolve()), "warning", f"is not there, {name} gets no labels")
         else:
             try:
                 faces = read_seg(file, project.shape_record(name)["n_faces"], given)
@@ -247,20 +261,32 @@ def label(task: Task) -> Iterator[Progress]:
                 taken.append(name)
                 message = name
             except LabelError as error:
-                problem = Problem(str(file.resolve()), "error", str(error))
+                problem = Problem(str(file.resolve()), "error", f"wanted {error.wanted}, got {error.got}", error.cause)
                 problems.append(problem)
                 message = str(error)
         yield task.progress("read", step + 1, len(wanted), message, problem=problem)
     project.set_problems(problems, [str((folder / f"{name}.seg").resolve()) for name in wanted])
-    text = f"{len(taken)} shapes labelled with {len(part_names)} parts"
+    text = f"{len(taken)} shape{'s' * (len(taken) != 1)} labelled with {len(part_names)} parts"
+    if asked and absent:
+        text += f", {', '.join(absent)} without"
     task.summary |= {"text": text, "labelled": taken, "without": absent, "not_read": [p.file for p in problems]}
-    if by_name and (absent or problems):
-        reason = str(problems[0].reason) if problems else f"{folder} has no {absent[0]}.seg"
+    if asked and (problems or (by_name and absent)):
+        reason = str(problems[0]) if problems else f"{folder} has no {absent[0]}.seg"
         raise StageError(f"{reason} ({len(taken)} of {len(wanted)} shapes were labelled)")
     if not taken:
-        reason = problems[0].reason if problems else f"{folder}: has no .seg file named like a shape of the project"
+        reason = str(problems[0]) if problems else f"{folder}: has no .seg file named like a shape of the project"
         raise StageError(f"{reason.rstrip('.')}. A shape called chair needs chair.seg, one integer per face.")
     yield task.progress("read", len(wanted), len(wanted), text)
+
+
+def _can_be_read(project: Project, folder: Path, name: str, wanted: Sequence[str]) -> bool:
+    """Whether a shape will get new labels."""
+    from shapeforge.collection.labels import LabelError, read_seg
+
+    try:
+        return name in wanted and len(read_seg(folder / f"{name}.seg", project.shape_record(name)["n_faces"])) > 0
+    except LabelError:
+        return False
 
 
 def _wanted(project: Project, only: Any) -> tuple[list[str], bool]:
@@ -282,7 +308,17 @@ def merged_part_names(present: PartNames | None, given: PartNames) -> PartNames:
     """Parts known already keep their index, new ids come after; a known id takes the name given now."""
     if present is None:
         return given
-    names = dict(zip(present.ids, present.names, strict=True)) | dict(zip(given.ids, given.names, strict=True))
+    names = dict(zip(present.ids, present.names, strict=True))
+    for identity, name in zip(given.ids, given.names, strict=True):
+        if identity not in names or name != f"part {identity}":  # what a folder without labels.json calls its parts
+            names[identity] = name
+    twice = next((name for name in names.values() if list(names.values()).count(name) > 1), None)
+    if twice is not None:
+        which = " and ".join(str(identity) for identity, name in names.items() if name == twice)
+        raise StageError(
+            f"labels.json: {twice!r} would be the name of the ids {which}, as other shapes of the project have labels "
+            "by other ids. Use the same ids for all shapes, or label all of them again into a new project."
+        )
     return PartNames(tuple(names), tuple(names.values()))
 
 

@@ -34,6 +34,8 @@ def synthesize(task: Task) -> Iterator[Progress]:
     count = int(options["count"])
     if count < 1:
         raise StageError(f"count: wanted at least 1, got {count}")
+    if not np.isfinite(options["temperature"]):
+        raise StageError(f"temperature: wanted a positive number, got {options['temperature']}")
     out = Path(options["out"] or project.path / "synthesized")
     machine, mixture = project.machine(), project.mixture()
     rng = np.random.default_rng(options["seed"])

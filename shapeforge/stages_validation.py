@@ -47,6 +47,10 @@ def validate(
     true_classes = None if classes is None else read_classes(Path(classes))
     yield from refresh(project, ("fit", "learn"), jobs=jobs, wanted_by="validate", optional=("learn",))
     names, parts = project.fit_names, fitted_part_names(project)
+    for file, known in ((landmarks, true_marks), (classes, true_classes)):
+        if known is not None and not set(known) & set(names):
+            got = ", ".join(list(known)[:3]) or "none"
+            raise StageError(f"{file}: wanted shapes of {project.path} (e.g. {names[0]}), got {got}.")
     truth: dict[str, np.ndarray] | None = None
     truth_parts = PartNames((), ())
     if labels is not None:
@@ -59,7 +63,7 @@ def validate(
                 try:
                     truth[name] = read_seg(file, project.shape_record(name)["n_faces"], truth_parts)
                 except LabelError as error:
-                    problem = Problem(str(file), "error", str(error))
+                    problem = Problem(str(file), "error", f"wanted {error.wanted}, got {error.got}", error.cause)
             if problem is not None:
                 yield Progress("validate", "read", len(truth), len(names), str(problem), problem=problem)
         if not truth:

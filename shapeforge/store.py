@@ -64,7 +64,7 @@ class Problem:
 
     def __str__(self) -> str:
         text = f"{self.file}: {self.reason.rstrip('.')}."
-        return f"{text} {self.remedy.rstrip('.')}." if self.remedy else text
+        return f"{text} {self.remedy.rstrip('.')}{'' if self.remedy.endswith('?') else '.'}" if self.remedy else text
 
 
 def key_of(*parts: Any) -> str:
@@ -113,7 +113,12 @@ class StoredShapes(Sequence):
             if found is not None and found[0] == key:
                 self._kept.move_to_end(name)
                 return found[1]
-        shape, _ = read_record(self._project.shape_path(name))
+        path = self._project.shape_path(name)
+        try:
+            shape, _ = read_record(path)
+        except ProjectError as error:
+            read_again = f"Delete it if it is there and read the mesh again: shapeforge import {self._project.path}"
+            raise ProjectError(path, error.problem, read_again) from error
         size = sum(array.nbytes for array in vars(shape).values() if isinstance(array, np.ndarray))
         size += shape.mesh.vertices.nbytes + 9 * shape.mesh.triangles.nbytes  # with what the mesh caches
         with self._mutex:
@@ -328,9 +333,14 @@ class Project(Results):
     @property
     def groups(self) -> Groups | None:
         """Groups and exemplars, for the shapes of now: shapes added since have group -1.  None before grouping."""
-        if self._metadata["groups"] is None:
+        path = self.path / "groups.zarr.zip"
+        if self._metadata["groups"] is None or not path.is_file():
             return None
-        groups, attributes = read_record(self.path / "groups.zarr.zip")
+        try:
+            groups, attributes = read_record(path)
+        except ProjectError as error:
+            remedy = f"Delete it and group again: shapeforge group {self.path}"
+            raise ProjectError(path, error.problem, remedy) from error
         about = tuple(attributes["shapes"])
         return groups if about == self.names else _regrouped(groups, about, self.names)
 

@@ -296,4 +296,6 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise ProjectError(path, f"cannot be read ({error})", "Restore it from a copy, or import again") from error
+        raise ProjectError(
+            path, f"cannot be read ({error})", "Restore it from a copy, or import the meshes into a new project"
+        ) from error

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -54,7 +56,17 @@ class Results:
         path = None if folder is None else folder / f"{name}.zarr.zip"
         if path is None or not path.is_file():
             return None
-        return read_record(path)[0]
+        with self._remedy(stage):
+            return read_record(path)[0]
+
+    @contextlib.contextmanager
+    def _remedy(self, stage: str) -> Iterator[None]:
+        """Errors in files of a stage's results name the command that makes them again."""
+        try:
+            yield
+        except ProjectError as error:
+            remedy = f"Delete it and make it again: shapeforge {stage} {self.path}"
+            raise ProjectError(error.path, error.problem, remedy) from error
 
     # -- the fit ---------------------------------------------------------------------------------------------------
 
@@ -85,7 +97,10 @@ class Results:
     def fit_names(self) -> tuple[str, ...]:
         """Names of the shapes the fit is about, in its order (shapes imported later are not among them)."""
         folder = self.current_folder(self.fit_stage)
-        return () if folder is None else _names_of(folder / "names.zarr.zip")
+        if folder is None:
+            return ()
+        with self._remedy(self.fit_stage):
+            return _names_of(folder / "names.zarr.zip")
 
     def _fitted(self, name: str) -> dict[str, Any] | None:
         folder = self.current_folder(self.fit_stage)
@@ -93,7 +108,8 @@ class Results:
         if path is None or not path.is_file():
             return None
         stamp = path.stat()
-        return _read_fitted(path, stamp.st_mtime_ns, stamp.st_size)
+        with self._remedy(self.fit_stage):
+            return _read_fitted(path, stamp.st_mtime_ns, stamp.st_size)
 
     def beliefs(self, name: str) -> Any | None:
         """The ``Beliefs`` about one shape, None when it was not fitted."""

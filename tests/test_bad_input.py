@@ -148,7 +148,7 @@ def test_a_file_that_goes_bad_keeps_its_shape(project: Project, cube: Path, caps
     before = project.shapes.named("cube").points
     cube.write_text("v 0 0 0\n")
     status, _, err = run(capsys, "import", project.path, cube)
-    assert status == 0 and "cube.obj" in err
+    assert status == 1 and "cube.obj" in err
     again = Project.open(project.path)
     assert np.array_equal(again.shapes.named("cube").points, before)
     assert [problem.kind for problem in again.problems] == ["error"]

@@ -121,17 +121,26 @@ def write_seg(path: str | Path, faces: Int[np.ndarray, " F"], part_names: PartNa
 
 
 def find_part_names(folder: str | Path) -> PartNames:
-    """Parts of a folder of labels: its ``labels.json``, else every id from 0 on of its ``.seg`` files ("part 3")."""
+    """Parts of a folder of labels: its ``labels.json``, else every id from 0 on of its ``.seg`` files ("part 3").
+
+    ``.seg`` files that cannot be read say nothing about the parts; ``LabelError`` when none can.
+    """
     folder = Path(folder)
     if not folder.is_dir():
-        raise LabelError(folder, "a folder of .seg files", "no such folder")
+        raise LabelError(folder, "a folder of .seg files", "a file" if folder.exists() else "no such folder")
     if (folder / LABELS_FILE).is_file():
         return read_part_names(folder / LABELS_FILE)
     found: set[int] = set()
     files = sorted(folder.rglob("*.seg"))
+    failed: list[LabelError] = []
     for file in files:
-        found.update(np.unique(_read_ids(file)).tolist())
+        try:
+            found.update(np.unique(_read_ids(file)).tolist())
+        except LabelError as error:
+            failed.append(error)
     ids = tuple(sorted(i for i in found if i >= 0))
+    if failed and not ids:
+        raise failed[0]
     if not ids:
         raise LabelError(folder, f"{LABELS_FILE} or labelled .seg files", f"{len(files)} .seg files without labels")
     return PartNames(ids, tuple(f"part {i}" for i in ids))

@@ -1,0 +1,226 @@
+"""Which stages there are, what each is made from, and how far a project is with them.
+
+What a stage came from is a key over its options and inputs; a stage whose key no longer matches is stale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from shapeforge.store import Project, key_of
+
+STAGES: tuple[str, ...] = ("import", "group", "label", "cosegment", "fit", "learn", "refine", "synthesize")
+
+DEFAULTS: dict[str, dict[str, Any]] = {
+    "import": {"points": 5000, "up": "auto", "seed": 0},
+    "group": {"exemplars": None, "seed": 0},
+    "label": {},
+    "cosegment": {"parts": None, "seed": 0},
+    "fit": {"rounds": 10, "inner": 3, "seed": 0},
+    "learn": {"epochs": None, "seed": 0},
+    "refine": {"alternations": 3, "seed": 0},
+    "synthesize": {"count": 20, "temperature": 1.0, "format": "glb", "out": None, "seed": 0},
+}
+"""Options of every stage.  An option that is not given keeps the value of the project's last run of the stage."""
+
+ARGUMENTS: dict[str, tuple[str, ...]] = {"import": ("meshes",), "label": ("labels", "only")}
+"""What a stage is given besides options: files that are read now and need not be there later."""
+
+NEEDS: dict[str, tuple[str, ...]] = {
+    "import": (),
+    "group": ("import",),
+    "label": ("import",),
+    "cosegment": ("import", "group"),
+    "fit": ("import", "group", "label"),
+    "learn": ("fit",),
+    "refine": ("fit", "learn"),
+    "synthesize": ("fit", "learn"),
+}
+REVISION = 1
+"""Raised when stages mean something else by the same options: results of older revisions are then stale."""
+
+RESULTS: dict[str, tuple[str, ...]] = {
+    "cosegment": ("names", "proposal"),
+    "fit": ("names", "fit", "hierarchy"),
+    "learn": ("machine", "observations", "mixture", "directions", "descriptors"),
+    "refine": ("names", "fit", "hierarchy", "machine", "observations", "mixture", "directions", "descriptors"),
+    "synthesize": ("draws",),
+}
+"""Files without which the results of a finished stage are not complete."""
+
+State = Literal["missing", "partial", "done", "stale", "locked"]
+
+
+@dataclass(frozen=True)
+class Status:
+    """State of a stage, and why in words."""
+
+    state: State
+    reason: str
+
+
+def options_of(stage: str, record: Mapping[str, Any] | None, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Options as given, else as the last run had them, else the defaults; in JSON's types."""
+    last = record["options"] if record else {}
+    options = {name: given.get(name, last.get(name, default)) for name, default in DEFAULTS[stage].items()}
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in options.items()}
+
+
+def inputs_of(project: Project, stage: str) -> dict[str, Any]:
+    """Keys of all that a stage computes from, by a word for each."""
+
+    def result_of(stage: str) -> str | None:
+        record = project.stage_record(stage) or {}
+        return record.get("result")
+
+    shapes = key_of([[name, project.shape_record(name)["key"]] for name in project.names])
+    labels = [[name, project.label_key(name)] for name in project.labelled]
+    parts = list(project.part_names.names) if project.part_names else []
+    if stage == "import":
+        return {"shapes": shapes}
+    if stage == "group":
+        return {"shapes": shapes}
+    if stage == "label":
+        return {"labels": key_of(labels, parts)}
+    if stage == "cosegment":
+        return {"shapes": shapes, "groups": project.groups_key}
+    if stage == "fit":
+        start = {"labels": key_of(labels, parts)} if labels else {"first parts": result_of("cosegment")}
+        return {"shapes": shapes, "groups": project.groups_key, **start}
+    if stage == "learn":
+        return {"fit": result_of("fit")}
+    if stage == "refine":
+        return {"fit": result_of("fit"), "machine": result_of("learn")}
+    return {"fit": project.fit_id, "machine": project.machine_id}
+
+
+def difference(record: Mapping[str, Any], options: Mapping[str, Any], inputs: Mapping[str, Any]) -> str:
+    """What changed since a stage was run, in words."""
+    old_inputs, old_options = record.get("inputs", {}), record.get("options", {})
+    changed = [f"the {name} changed" for name, value in inputs.items() if old_inputs.get(name) != value]
+    for name, value in options.items():
+        if old_options.get(name) != value:
+            changed.append(f"{name} {value} instead of {old_options.get(name)}")
+    return ", ".join(changed) or "it was made by another version of shapeforge"
+
+
+def status(project: Project) -> dict[str, Status]:
+    """State of every stage, in order, each with a reason that can be shown."""
+    found: dict[str, Status] = {}
+    for stage in STAGES:
+        found[stage] = _status(project, stage, found)
+    return found
+
+
+def _status(project: Project, stage: str, before: Mapping[str, Status]) -> Status:
+    record = project.stage_record(stage)
+    if stage == "import":
+        return _import_status(project, record)
+    if stage == "label":
+        return _label_status(project)
+    needs = NEEDS[stage]
+    if stage == "fit":  # parts may come from labels or be proposed
+        has_parts = bool(project.labelled) or before["cosegment"].state not in ("missing", "locked")
+        needs = ("import", "group")
+        if record is None and before["group"].state == "done" and not has_parts:
+            return Status("locked", "needs labels on the exemplars, or proposed parts")
+    for name in needs:
+        if before[name].state in ("missing", "locked"):
+            return Status("locked", f"needs {name} first")
+    if record is None:
+        if stage == "group" and project.groups_key is not None:
+            return Status("done", "grouped by hand")
+        return Status("missing", "not done yet")
+    options = options_of(stage, record, {})
+    inputs = inputs_of(project, stage)
+    if record["key"] != key_of(stage, REVISION, options, inputs):
+        return Status("stale", difference(record, options, inputs))
+    lost = lost_results(project, stage, record)
+    if lost:
+        return Status("stale", lost)
+    used = (*needs, "cosegment") if stage == "fit" and not project.labelled else needs
+    for name in used:
+        if before[name].state in ("stale", "partial") and name != "import":
+            return Status("stale", f"{name} is {before[name].state}: {before[name].reason}")
+    if record["state"] == "partial":
+        return Status("partial", "was stopped; it goes on where it was")
+    summary = record.get("summary") or {}
+    return Status("done", str(summary.get("text", "done")))
+
+
+def lost_results(project: Project, stage: str, record: Mapping[str, Any] | None) -> str:
+    """Which file of a finished stage's results is gone from the project, in words; empty when all are there."""
+    if not record or record["state"] != "done":
+        return ""
+    if stage == "group":
+        missing = [] if (project.path / "groups.zarr.zip").is_file() else ["groups.zarr.zip"]
+    else:
+        folder = project.result_folder(stage, record["result"])
+        wanted = [f"{name}.zarr.zip" for name in RESULTS.get(stage, ())]
+        if stage in ("fit", "refine"):
+            wanted += [f"shapes/{name}.zarr.zip" for name in project.names]
+        missing = [str((folder / name).relative_to(project.path)) for name in wanted if not (folder / name).is_file()]
+    return f"{missing[0]} is gone" if missing else ""
+
+
+def _import_status(project: Project, record: Mapping[str, Any] | None) -> Status:
+    number = len(project.names)
+    if not number:
+        return Status("missing", "no shapes yet")
+    if record and record["state"] == "partial":
+        return Status("partial", f"was stopped after {number} shapes; it goes on with the rest")
+    changed = project.changed_sources()
+    if changed:
+        some = ", ".join(changed[:3]) + (", …" if len(changed) > 3 else "")
+        return Status("stale", f"{len(changed)} files changed since they were read ({some})")
+    return Status("done", f"{number} shapes")
+
+
+def _label_status(project: Project) -> Status:
+    if not project.names:
+        return Status("locked", "needs import first")
+    labelled, groups = set(project.labelled), project.groups
+    if not labelled:
+        return Status("missing", "no shape has labels")
+    if groups is not None:
+        exemplars = [project.names[t] for t in groups.exemplars]
+        without = [name for name in exemplars if name not in labelled]
+        if len(without) == len(exemplars):
+            return Status("partial", f"no exemplar has labels: label {', '.join(without)}")
+        if without:
+            return Status("done", f"{len(labelled)} shapes; exemplars without labels: {', '.join(without)}")
+    return Status("done", f"{len(labelled)} shapes")
+
+
+def next_step(project: Project) -> str:
+    """One sentence: the command that is most worth running next."""
+    states = status(project)
+    required = ("import", "group", "label", "fit", "learn", "synthesize")
+    for stage in required:
+        state = states[stage].state
+        if stage == "label" and not project.labelled and states["cosegment"].state == "done":
+            continue
+        if state != "done" and not (stage == "import" and state == "stale"):
+            return remedy(project, stage)
+    return f"Export the results: shapeforge export {project.path} --out DIR"
+
+
+def remedy(project: Project, stage: str) -> str:
+    """One sentence: the command that runs a stage."""
+    path = project.path
+    groups = project.groups
+    exemplars = [project.names[t] for t in groups.exemplars] if groups is not None else []
+    which = f" ({', '.join(exemplars[:4])}{', …' if len(exemplars) > 4 else ''})" if exemplars else ""
+    return {
+        "import": f"Import meshes: shapeforge import {path} MESHES",
+        "group": f"Group the shapes: shapeforge group {path}",
+        "label": f"Label the exemplars{which}: shapeforge label {path} LABELS --only exemplars, paint them in "
+        f"shapeforge view {path}, or let parts be proposed: shapeforge cosegment {path}",
+        "cosegment": f"Propose parts: shapeforge cosegment {path}",
+        "fit": f"Fit the templates: shapeforge fit {path}",
+        "learn": f"Learn the Beta Shape Machine: shapeforge learn {path}",
+        "refine": f"Refine the fit: shapeforge refine {path}",
+        "synthesize": f"Make new shapes: shapeforge synthesize {path} --count 20 --out DIR",
+    }[stage]
