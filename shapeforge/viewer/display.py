@@ -1,13 +1,13 @@
 """What a view shows, as arrays: meshes, points, lines, marks and words.  Pure numpy; nothing here draws.
 
-A place turns the Session into a :class:`Display`; ``scene.py`` puts its meshes, points and lines into a plotter and the
+A place turns the Session into a :class:`Display`; ``scene.py`` puts its meshes, points and lines into a plotter, the
 window paints its marks and words above them.  Layers are compared by the identity of their arrays, so a place that keeps
 an array object alive pays nothing for it in the next frame.  All positions are normal coordinates (diagonals, y up).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -62,8 +62,9 @@ class LineLayer:
 class Mark:
     """Something small drawn above the shape in window pixels, at a place on the shape.
 
-    ``kind``: "dot" (filled, white rim), "ring" (hollow), "halo" (hollow, accent), "brush" (ring of ``radius`` diagonals), "twin" (dashed such
-    ring), "line" (dashed, from ``at`` to ``to``), "arrow" (from ``at`` towards ``to``), "note" (a word with a pin).
+    ``kind``: "dot" (filled, white rim), "ring" (hollow), "halo" (hollow, accent), "brush" (ring of ``radius`` diagonals
+    in the plane with normal ``to``), "twin" (dashed such ring), "line" (dashed, from ``at`` to ``to``), "arrow" (from
+    ``at`` to ``to``), "note" (a word with a pin).
     """
 
     kind: str
@@ -118,7 +119,7 @@ class Display:
 
 
 def face_colours(labels: Int[np.ndarray, " F"], n_parts: int, hidden: Collection[int] = ()) -> UInt8[np.ndarray, "F 3"]:
-    """Colour of every face record (F, 3) from its part index (-1: unpainted); ``hidden`` parts are switched-off grey."""
+    """Colour of every face record (F, 3) from its part index (-1: unpainted); ``hidden`` parts in switched-off grey."""
     colours = label_colours(labels, n_parts)
     for part in hidden:
         colours[labels == part] = rgb(SWITCHED_OFF)
@@ -169,7 +170,3 @@ def coordinate_colours(positions: Float[np.ndarray, "n 3"]) -> UInt8[np.ndarray,
     low, high = np.nanmin(positions, axis=0), np.nanmax(positions, axis=0)
     unit = (positions - low) / np.maximum(high - low, 1e-9)
     return np.round(60 + 180 * np.nan_to_num(unit, nan=0.4)).astype(np.uint8)
-
-
-DisplayOf = Callable[[object], Display]
-"""A place's ``display(session) -> Display``: pure, called on the GUI thread, cheap enough for every change."""

@@ -89,7 +89,7 @@ class Painter:
 
     @property
     def mirror_plane(self) -> tuple[Float[np.ndarray, " 3"], float, float] | None:
-        """Normal, offset and mean error (diagonals, beyond the sampling's) of the mirror plane; None without a good one."""
+        """Normal, offset and error (diagonals, beyond the sampling's) of the mirror plane; None without a good one."""
         if not self._plane_known:
             from shapeforge.collection.symmetry import symmetry_plane
 

@@ -1,4 +1,4 @@
-"""Painting in the real window: mouse and keys into the view, then the Session, the pixels and the project are looked at."""
+"""Painting in the real window: mouse and keys go in; Session, pixels and project are looked at."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def quads(vertices: np.ndarray, faces: list[tuple[int, ...]]) -> Mesh:
 
 
 def sheet(n: int, *, lift: float = 0.0, soup: bool = False) -> Mesh:
-    """n x n quads over the unit square (x, z), the right half lifted by a slope of ``lift``; soup: no shared corners."""
+    """n x n quads over the unit square (x, z), the right half sloping by ``lift``; soup: no shared corners."""
     x, z = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1), indexing="ij")
     y = lift * np.maximum(x - 0.5, 0)
     vertices = np.stack([x, y, z], axis=-1).reshape(-1, 3)

@@ -111,7 +111,7 @@ class RangeSlider(QWidget):
         self._histogram, self._edges = np.asarray(histogram, float), np.asarray(edges, float)
         self.value = 0.0
         self.locked = False
-        self._drags = False
+        self.is_dragged = False
         self.setFixedHeight(40)
         self.setMouseTracking(True)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
@@ -143,7 +143,7 @@ class RangeSlider(QWidget):
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setPen(Qt.PenStyle.NoPen)
         groove = self.height() - 10.0
-        active = self._drags or self.underMouse() or self.hasFocus()
+        active = self.is_dragged or self.underMouse() or self.hasFocus()
         tallest = max(float(self._histogram.max(initial=0)), 1.0)
         painter.setBrush(QColor(tokens["accent" if active and not self.locked else "separator_strong"]))
         painter.setOpacity(0.75)
@@ -165,16 +165,16 @@ class RangeSlider(QWidget):
 
     def mousePressEvent(self, event: QMouseEvent) -> None:  # noqa: N802
         if event.button() == Qt.MouseButton.LeftButton and not self.locked:
-            self._drags = True
+            self.is_dragged = True
             self._move(self._value_at(event.position().x()))
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:  # noqa: N802
-        if self._drags:
+        if self.is_dragged:
             self._move(self._value_at(event.position().x()))
 
     def mouseReleaseEvent(self, event: QMouseEvent) -> None:  # noqa: N802
-        if self._drags:
-            self._drags = False
+        if self.is_dragged:
+            self.is_dragged = False
             self.update()
             self.released.emit()
 
@@ -193,7 +193,7 @@ class RangeSlider(QWidget):
 
     def _reset(self) -> None:
         if not self.locked:
-            self._drags = False
+            self.is_dragged = False
             self._move(0.0)
             self.released.emit()
 

@@ -1,4 +1,4 @@
-"""The Synthesize place: new shapes of the family from sliders with the range of the data; points at once, then a mesh."""
+"""The Synthesize place: new shapes from sliders with the range of the data; points at once, then a mesh."""
 
 from __future__ import annotations
 
@@ -8,37 +8,29 @@ from typing import Any
 import numpy as np
 from PySide6.QtCore import QObject, Qt, QTimer, Signal
 from PySide6.QtGui import QPixmap
-from PySide6.QtWidgets import QFrame, QMenu, QWidget
+from PySide6.QtWidgets import QMenu, QWidget
 
 from shapeforge.viewer.actions import YES, Action, Actions
-from shapeforge.viewer.display import Mark, View
-from shapeforge.viewer.palette import part_colours
-from shapeforge.viewer.picking import camera_axes
+from shapeforge.viewer.display import View
+from shapeforge.viewer.mesh_worker import Made, MeshWorker
 from shapeforge.viewer.pictures import take_picture
 from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.handles import Handles
 from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.paint_parts import HistoryStrip
-from shapeforge.viewer.qt.synthesize_parts import BetweenBar, DirectionRow, FamilyMap
+from shapeforge.viewer.qt.synthesize_inspector import SynthesizeInspector
+from shapeforge.viewer.qt.synthesize_parts import BetweenBar
 from shapeforge.viewer.qt.thumbnails import Thumbnails
 from shapeforge.viewer.qt.widgets import (
     Segments,
-    Swatch,
-    Switch,
-    button,
-    clear,
     column,
     framed,
-    label,
     row,
-    scrolled,
-    section,
-    separator,
 )
-from shapeforge.viewer.sculptor import Made, MeshWorker, Recipe, Sculptor, export_mesh
+from shapeforge.viewer.sculptor import Recipe, Sculptor, export_mesh
 from shapeforge.viewer.session import Session
 
 PREVIEW_MS = 120  # a slider that rests this long gets a preview mesh; one that is let go the final one
-GRAB_PIXELS = 11
 
 
 class _Mail(QObject):
@@ -64,13 +56,9 @@ class SynthesizePlace:
         self._wish = 0
         self._entered = False
         self._points = np.zeros((0, 3))
-        self._locked: set[int] = set()
         self._between: tuple[str, str] | None = None
         self._share = 0.5
-        self._held: tuple[int, np.ndarray, Callable[[np.ndarray], dict[int, float]]] | None = None
-        self._handles = np.zeros(0, int)
         self._old_history = session.history
-        self.rows: list[DirectionRow] = []
         self._add_actions()
         self._build()
         self._preview_timer = QTimer(self.centre, singleShot=True, interval=PREVIEW_MS)
@@ -102,9 +90,9 @@ class SynthesizePlace:
 
     def _build(self) -> None:
         self.view = self._view_factory()
-        self.view.hold = self._grab
-        self.view.pulled.connect(self._pull)
-        self.view.released.connect(self._let_handle_go)
+        self.handles = Handles(
+            self.session, self.view, self.sculptor, lambda: self.inspector.locked, self._let_handle_go
+        )
         self.between = BetweenBar()
         self.between.setVisible(False)
         self.between.moved.connect(self._between_moved)
@@ -119,7 +107,6 @@ class SynthesizePlace:
         self.from_button = action_button(self.actions, "from_shape", self.binding)
         self.shown_as = Segments((("mesh", "Mesh", ""), ("points", "Points", "")), "mesh")
         self.shown_as.chosen.connect(lambda _value: self._show())
-        self.as_points = False
         self.toolbar_widget = framed(
             row(
                 action_button(self.actions, "mean_shape", self.binding),
@@ -132,51 +119,13 @@ class SynthesizePlace:
                 margins=(16, 0, 16, 0),
             )  # fmt: skip
         )
-        self._build_inspector()
+        self.inspector = SynthesizeInspector(self.session, self.sculptor, self.actions, self.binding)
+        self.inspector.shape_chosen.connect(self._from_shape)
+        self.inspector.slid.connect(self._slid)
+        self.inspector.let_go.connect(self._let_go)
+        self.inspector.switched.connect(self._switch)
         self.strip = HistoryStrip("History")
         self.strip.chosen.connect(self._go_to)
-
-    def _build_inspector(self) -> None:
-        self.map = FamilyMap()
-        self.map.chosen.connect(lambda i: self._from_shape(self.sculptor.shape_names[i]))
-        family = section(row(label("Family", "heading"), None, label("click to go there", "caption")), self.map)
-        self.direction_count = label("", "off")
-        reset = action_button(self.actions, "reset_sliders", self.binding, kind="link", icon=False)
-        head = row(label("Directions", "heading"), self.direction_count, None, reset, margins=(16, 12, 16, 4))
-        self.direction_rows = column(spacing=0)
-        self.finer = button("", icon="down", kind="link")
-        self.finer.clicked.connect(self._toggle_finer)
-        self.finer_rows = QWidget()
-        self.finer_rows.setLayout(column(spacing=0))
-        self.finer_rows.setVisible(False)
-        directions = QWidget()
-        directions.setLayout(
-            column(
-                head,
-                self.direction_rows,
-                row(self.finer, None, margins=(16, 4, 16, 12)),
-                self.finer_rows,
-                separator(),
-                spacing=0,
-            )
-        )
-        self.part_rows = column(spacing=8)
-        self.part_note = label("", "caption_off", wrap=True)
-        parts = section(label("Parts", "heading"), self.part_rows, self.part_note, line=False)
-        self.export = action_button(self.actions, "export_mesh", self.binding, kind="primary")
-        foot = QFrame()
-        foot.setObjectName("bar")
-        foot.setLayout(
-            column(
-                self.export,
-                label("glb, part names and a recipe to remake it", "caption"),
-                spacing=8,
-                margins=(16, 12, 16, 14),
-            )
-        )
-        inside = column(scrolled(family, directions, parts), foot, spacing=0)
-        inside.setStretch(0, 1)
-        self.inspector = framed(inside)
 
     # ---- coming and going ----------------------------------------------------------------------------------------
 
@@ -185,7 +134,7 @@ class SynthesizePlace:
         self._entered = True
         self._old_history = self.session.history
         if self.worker is None:
-            self.worker = MeshWorker(self.sculptor, self._mail.arrived.emit)
+            self.worker = MeshWorker(self.session, self.sculptor.nearest, self._mail.arrived.emit)
         self._reload()
         if self.sculptor.has_machine:
             self.session.history = self.sculptor
@@ -212,68 +161,11 @@ class SynthesizePlace:
             return
         if self.sculptor.reload() and self.sculptor.has_machine:
             self._made_of, self.made, self._between = {}, None, None
-            self._locked = set()
-            self._show_family()
-            self._fill_directions()
-            self._fill_parts()
+            self.inspector.fill()
             self._points = self.sculptor.points()
             self._show(fit=True)
             self._ask()
             self._show_history()
-
-    def _show_family(self) -> None:
-        project, names = self.session.project, self.sculptor.shape_names
-        groups, order = project.groups, [list(project.names).index(name) for name in names]
-        if groups is not None and len(groups.group) == len(project.names):
-            self.map.set_family(groups.embedding[order], groups.group[order], names)
-
-    def _fill_directions(self) -> None:
-        sculptor = self.sculptor
-        clear(self.direction_rows)
-        clear(self.finer_rows.layout())
-        self.rows = []
-        for index, direction in enumerate(sculptor.directions):
-            unit = sculptor.unit(index)
-            one = DirectionRow(
-                sculptor.names[index], sculptor.caption(index), direction.low / unit, direction.high / unit,
-                direction.histogram, direction.edges / unit,
-            )  # fmt: skip
-            one.moved.connect(lambda value, index=index: self._slid(index, value))
-            one.released.connect(lambda index=index: self._let_go(index))
-            one.locked.connect(lambda on, index=index: self._lock(index, on))
-            (self.direction_rows if index < sculptor.coarse else self.finer_rows.layout()).addWidget(one)
-            self.rows.append(one)
-        finer = len(self.rows) - sculptor.coarse
-        self.finer.setVisible(finer > 0)
-        self.finer.setText(f"{finer} finer directions")
-        self.direction_count.setText(f"{sculptor.coarse} of {len(self.rows)}")
-        refresh(self.inspector, self.session.theme)
-
-    def _fill_parts(self) -> None:
-        sculptor = self.sculptor
-        clear(self.part_rows)
-        self.switches: dict[int, Switch] = {}
-        always, seen = sculptor.always(), sculptor.seen()
-        shown = [part for part in range(len(sculptor.part_names)) if seen[part]]
-        holders: list[QWidget] = []
-        for part in shown:
-            colour = "#{:02X}{:02X}{:02X}".format(*part_colours(len(sculptor.part_names))[part])
-            switch = Switch(True, "Every shape of the family has it" if always[part] else "Switch this part on or off")
-            switch.setEnabled(not always[part])
-            switch.setAccessibleName(sculptor.part_names[part])
-            switch.clicked.connect(lambda on, part=part: self._switch(part, on))
-            self.switches[part] = switch
-            holder = QWidget()
-            holder.setLayout(row(Swatch(colour), 2, label(sculptor.part_names[part]), None, switch, spacing=6))
-            holders.append(holder)
-        for pair in zip(holders[::2], [*holders[1::2], QWidget()], strict=False):
-            line = row(*pair, spacing=16)
-            line.setStretch(0, 1)
-            line.setStretch(1, 1)
-            self.part_rows.addLayout(line)
-        fixed = [sculptor.part_names[part] for part in shown if always[part]]
-        words = " and ".join(([", ".join(fixed[:-1])] if fixed[:-1] else []) + fixed[-1:])
-        self.part_note.setText(f"{words.capitalize()}: on every shape of the family." if fixed else "")
 
     # ---- wishes --------------------------------------------------------------------------------------------------
 
@@ -283,18 +175,7 @@ class SynthesizePlace:
             return
         self._wish += 1
         self._points = self.sculptor.points()
-        exists = self.sculptor.exists()
-        for index, one in enumerate(self.rows):
-            one.set_value(self.session.sliders.get(index, 0.0))
-            one.caption.setText(self.sculptor.caption(index))
-        for part, switch in self.switches.items():
-            switch.setChecked(bool(exists[part]))
-        groups = self.session.project.groups
-        if groups is not None and len(self.map._places) == len(self.sculptor.shape_names):
-            ends = None
-            if self._between is not None:
-                ends = tuple(self.sculptor.shape_names.index(name) for name in self._between)
-            self.map.set_here(self.sculptor.place_on_map(self.map._places, self._points), ends)
+        self.inspector.show_values(self._points, self._between)
         self.made = None
         self._show()
         if self._dragging:
@@ -304,9 +185,8 @@ class SynthesizePlace:
 
     @property
     def _dragging(self) -> bool:
-        if self._held is not None:
-            return True
-        return any(one.slider._drags for one in self.rows) or self.between.slider.isSliderDown()
+        held = self.handles.held is not None
+        return held or self.inspector.is_dragging or self.between.slider.isSliderDown()
 
     def _ask(self, *, preview: bool = False) -> None:
         if self.worker is not None and self._entered and self.sculptor.has_machine:
@@ -334,6 +214,10 @@ class SynthesizePlace:
         value = self.session.sliders.get(index, 0.0)
         self._remember(f"{self.sculptor.names[index]} {value:+.1f}".replace("-", "−"))
 
+    def _let_handle_go(self, words: str) -> None:
+        self._preview_timer.stop()
+        self._remember(words)
+
     def _remember(self, label_: str) -> None:
         self.sculptor.keep(label_)
         self._after_step()
@@ -343,15 +227,12 @@ class SynthesizePlace:
         self._ask()
         self._show_history()
 
-    def _lock(self, index: int, on: bool) -> None:
-        self._locked = self._locked | {index} if on else self._locked - {index}
-
     def _switch(self, part: int, on: bool) -> None:
         self.session.parts_on = {**self.session.parts_on, part: on}
         self._remember(f"{self.sculptor.part_names[part]} {'on' if on else 'off'}")
 
     def _start(self, recipe: Recipe) -> None:
-        kept = {i: v for i, v in self.session.sliders.items() if i in self._locked}
+        kept = {i: v for i, v in self.session.sliders.items() if i in self.inspector.locked}
         self.sculptor.start(
             Recipe(recipe.label, recipe.base, {**recipe.sliders, **kept}, recipe.parts_on, recipe.origin)
         )
@@ -380,7 +261,7 @@ class SynthesizePlace:
         self._start(Recipe(name, self.sculptor.base_of(name), origin=name))
 
     def _reset(self) -> None:
-        self.session.sliders = {i: v for i, v in self.session.sliders.items() if i in self._locked}
+        self.session.sliders = {i: v for i, v in self.session.sliders.items() if i in self.inspector.locked}
         self._remember("reset")
 
     def _go_to(self, index: int) -> None:
@@ -388,45 +269,6 @@ class SynthesizePlace:
         self._wanted()
         self.session.edit_count += 1
         self._show_history()
-
-    # ---- pulling at a handle -------------------------------------------------------------------------------------
-
-    def _grab(self, x: float, y: float) -> bool:
-        """Take hold of the handle under the pointer, if there is one."""
-        for k in self._handles:
-            place = self.view.place_of(self._points[k])
-            if np.hypot(place[0] - x, place[1] - y) < GRAB_PIXELS:
-                self._held = (int(k), self._points[k].copy(), self.sculptor.pull(int(k), frozenset(self._locked)))
-                return True
-        return False
-
-    def _pull(self, x: float, y: float) -> None:
-        if self._held is None:
-            return
-        _, start, wanted = self._held
-        place = self.view.place_of(start)
-        camera, height = self.view.scene.camera, self.view.rectangles()[0][3]
-        unit = 2 * camera.GetParallelScale() / height
-        displacement = np.array([x - place[0], place[1] - y]) * unit @ camera_axes(camera)[:2]
-        self.session.sliders = wanted(displacement)
-
-    def _let_handle_go(self) -> None:
-        if self._held is not None:
-            part = self.sculptor.part_names[self.sculptor.part[self._held[0]]]
-            self._held = None
-            self._preview_timer.stop()
-            self._remember(f"{part} pulled")
-
-    def _marks(self) -> tuple[Mark, ...]:
-        """The handles, the one in hand filled and with an arrow from where it was."""
-        marks = []
-        for k in self._handles:
-            at = tuple(float(x) for x in self._points[k])
-            held = self._held is not None and self._held[0] == k
-            if held:
-                marks.append(Mark("arrow", tuple(float(x) for x in self._held[1]), to=at))
-            marks.append(Mark("dot" if held else "ring", at))
-        return tuple(marks)
 
     # ---- between two shapes --------------------------------------------------------------------------------------
 
@@ -504,9 +346,8 @@ class SynthesizePlace:
 
     def _show_words(self, *, fit: bool = False) -> None:
         busy = self.worker is not None and self.worker.busy
-        if self._held is None:
-            self._handles = self.sculptor.handles(self._points)
-        display = self.sculptor.display(self._drawn, self.made, self._label(), busy, self._marks())
+        self.handles.follow(self._points)
+        display = self.sculptor.display(self._drawn, self.made, self._label(), busy, self.handles.marks())
         self.view.display(display, fit=fit)
 
     def _label(self) -> str:
@@ -541,9 +382,6 @@ class SynthesizePlace:
             return take_picture(View((layer,)), (128, 104), theme, transparent=True)
 
         return self.thumbnails.pixmap(("draw", id(recipe), id(made), theme), take)
-
-    def _toggle_finer(self) -> None:
-        self.finer_rows.setVisible(not self.finer_rows.isVisible())
 
     # ---- verdicts and export -------------------------------------------------------------------------------------
 

@@ -80,7 +80,7 @@ class FamilyMap(QWidget):
         self.setFixedHeight(height)
         self.setMouseTracking(True)
         self.setCursor(Qt.CursorShape.PointingHandCursor)
-        self._places = np.zeros((0, 2))
+        self.places = np.zeros((0, 2))
         self._group = np.zeros(0, int)
         self._names: tuple[str, ...] = ()
         self.here: tuple[float, float] | None = None
@@ -88,7 +88,7 @@ class FamilyMap(QWidget):
 
     def set_family(self, places: np.ndarray, group: np.ndarray, names: tuple[str, ...]) -> None:
         """Places (T, 2) on the map, group (T,) and names of the shapes."""
-        self._places, self._group, self._names = np.asarray(places, float), np.asarray(group, int), names
+        self.places, self._group, self._names = np.asarray(places, float), np.asarray(group, int), names
         self.update()
 
     def set_here(self, here: tuple[float, float] | None, ends: tuple[int, int] | None = None) -> None:
@@ -97,9 +97,9 @@ class FamilyMap(QWidget):
         self.update()
 
     def _to_pixels(self, places: np.ndarray) -> np.ndarray:
-        if not len(self._places):
+        if not len(self.places):
             return places
-        low, high = self._places.min(axis=0), self._places.max(axis=0)
+        low, high = self.places.min(axis=0), self.places.max(axis=0)
         size = np.array([self.width() - 44, self.height() - 40])
         scale = float((size / np.maximum(high - low, 1e-9)).min())
         middle = np.array([self.width(), self.height()]) / 2
@@ -107,7 +107,7 @@ class FamilyMap(QWidget):
 
     def dot(self, index: int) -> tuple[float, float]:
         """Pixel place of a shape's dot."""
-        x, y = self._to_pixels(self._places)[index]
+        x, y = self._to_pixels(self.places)[index]
         return float(x), float(y)
 
     def paintEvent(self, event: QEvent) -> None:  # noqa: N802
@@ -118,7 +118,7 @@ class FamilyMap(QWidget):
         painter.setBrush(QColor(tokens["view"]))
         painter.drawRoundedRect(QRectF(self.rect()), 5, 5)
         palette = group_colours(int(self._group.max(initial=0)) + 1)
-        pixels = self._to_pixels(self._places)
+        pixels = self._to_pixels(self.places)
         for (x, y), g in zip(pixels, self._group, strict=True):
             painter.setBrush(QColor(*palette[g].tolist()) if g >= 0 else QColor(tokens["text_off"]))
             painter.drawEllipse(QPointF(x, y), 2.6, 2.6)
@@ -133,7 +133,7 @@ class FamilyMap(QWidget):
                 painter.setBrush(QColor(tokens["view"]))
                 painter.drawEllipse(QPointF(x, y), 4, 4)
                 painter.drawText(QPointF(x + 8, y + 4), name)
-        if self.here is not None and len(self._places):
+        if self.here is not None and len(self.places):
             x, y = self._to_pixels(np.array(self.here))
             painter.setPen(QPen(QColor("#FFFFFF"), 1.6))
             painter.setBrush(QColor(tokens["accent"]))
@@ -147,10 +147,10 @@ class FamilyMap(QWidget):
         painter.end()
 
     def _at(self, event: QMouseEvent) -> int | None:
-        if not len(self._places):
+        if not len(self.places):
             return None
         here = np.array([event.position().x(), event.position().y()])
-        away = np.linalg.norm(self._to_pixels(self._places) - here, axis=1)
+        away = np.linalg.norm(self._to_pixels(self.places) - here, axis=1)
         return int(away.argmin()) if away.min() < 14 else None
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:  # noqa: N802

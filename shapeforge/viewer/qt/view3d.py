@@ -52,9 +52,8 @@ class View3D(QWidget):
         super().__init__(parent)
         self.session = session
         self.left_paints = False
-        self.hold: Callable[[float, float], bool] | None = (
-            None  # takes hold of something at (x, y)? then `pulled` follows
-        )
+        # Takes hold of something at (x, y)?  Then the drag is told by `pulled` instead of turning the view.
+        self.hold: Callable[[float, float], bool] | None = None
         self.frames = 0
         self._closed = False
         self._software: bool | None = None
@@ -252,7 +251,7 @@ class View3D(QWidget):
         self.camera_changed()
 
     def turn(self, right: Number, down: Number) -> None:
-        """Turn by a drag of ``right`` and ``down`` pixels, about the vertical and then up or down, never over the top."""
+        """Turn by a drag of ``right`` and ``down`` pixels: about the vertical, and up or down but never over the top."""
         camera = self.scene.camera
         away = np.array(camera.GetPosition()) - np.array(camera.GetFocalPoint())
         azimuth = math.degrees(math.atan2(away[0], away[2])) - DEGREES_PER_PIXEL * right

@@ -1,0 +1,158 @@
+"""The inspector of the Synthesize place: map of the family, sliders of the directions, parts, export."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from PySide6.QtCore import Signal
+from PySide6.QtWidgets import QFrame, QWidget
+
+from shapeforge.viewer.actions import Actions
+from shapeforge.viewer.palette import part_colours
+from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.icons import refresh
+from shapeforge.viewer.qt.synthesize_parts import DirectionRow, FamilyMap
+from shapeforge.viewer.qt.widgets import Swatch, Switch, button, clear, column, label, row, scrolled, section, separator
+from shapeforge.viewer.sculptor import Sculptor
+from shapeforge.viewer.session import Session
+
+
+class SynthesizeInspector(QFrame):
+    """Shows the Session's sliders and parts and emits what the user asks for.  ``locked`` sliders keep their value."""
+
+    shape_chosen = Signal(str)
+    slid = Signal(int, float)
+    let_go = Signal(int)
+    switched = Signal(int, bool)
+
+    def __init__(self, session: Session, sculptor: Sculptor, actions: Actions, binding: Binding) -> None:
+        super().__init__()
+        self.session, self.sculptor = session, sculptor
+        self.locked: frozenset[int] = frozenset()
+        self.rows: list[DirectionRow] = []
+        self.switches: dict[int, Switch] = {}
+        self.map = FamilyMap()
+        self.map.chosen.connect(lambda i: self.shape_chosen.emit(self.sculptor.shape_names[i]))
+        family = section(row(label("Family", "heading"), None, label("click to go there", "caption")), self.map)
+        self.direction_count = label("", "off")
+        reset = action_button(actions, "reset_sliders", binding, kind="link", icon=False)
+        head = row(label("Directions", "heading"), self.direction_count, None, reset, margins=(16, 12, 16, 4))
+        self.direction_rows = column(spacing=0)
+        self.finer = button("", icon="down", kind="link")
+        self.finer.clicked.connect(self._toggle_finer)
+        self.finer_rows = QWidget()
+        self.finer_rows.setLayout(column(spacing=0))
+        self.finer_rows.setVisible(False)
+        directions = QWidget()
+        directions.setLayout(
+            column(
+                head,
+                self.direction_rows,
+                row(self.finer, None, margins=(16, 4, 16, 12)),
+                self.finer_rows,
+                separator(),
+                spacing=0,
+            )
+        )
+        self.part_rows = column(spacing=8)
+        self.part_note = label("", "caption_off", wrap=True)
+        parts = section(label("Parts", "heading"), self.part_rows, self.part_note, line=False)
+        self.export = action_button(actions, "export_mesh", binding, kind="primary")
+        foot = QFrame()
+        foot.setObjectName("bar")
+        foot.setLayout(
+            column(
+                self.export,
+                label("glb, part names and a recipe to remake it", "caption"),
+                spacing=8,
+                margins=(16, 12, 16, 14),
+            )
+        )
+        inside = column(scrolled(family, directions, parts), foot, spacing=0)
+        inside.setStretch(0, 1)
+        self.setLayout(inside)
+
+    def fill(self) -> None:
+        """Rows for the sliders and parts of the family there is now."""
+        self.locked = frozenset()
+        self._show_family()
+        self._fill_directions()
+        self._fill_parts()
+
+    @property
+    def is_dragging(self) -> bool:
+        """A slider is in hand."""
+        return any(one.slider.is_dragged for one in self.rows)
+
+    def show_values(self, points: Float[np.ndarray, "K 3"], between: tuple[str, str] | None) -> None:
+        """Show the Session's sliders and parts, and the place on the map of a shape with these points."""
+        exists = self.sculptor.exists()
+        for index, one in enumerate(self.rows):
+            one.set_value(self.session.sliders.get(index, 0.0))
+            one.caption.setText(self.sculptor.caption(index))
+        for part, switch in self.switches.items():
+            switch.setChecked(bool(exists[part]))
+        if len(self.map.places) == len(self.sculptor.shape_names):
+            names = self.sculptor.shape_names
+            ends = None if between is None else (names.index(between[0]), names.index(between[1]))
+            self.map.set_here(self.sculptor.place_on_map(self.map.places, points), ends)
+
+    def _show_family(self) -> None:
+        project, names = self.session.project, self.sculptor.shape_names
+        groups, order = project.groups, [list(project.names).index(name) for name in names]
+        if groups is not None and len(groups.group) == len(project.names):
+            self.map.set_family(groups.embedding[order], groups.group[order], names)
+
+    def _fill_directions(self) -> None:
+        sculptor = self.sculptor
+        clear(self.direction_rows)
+        clear(self.finer_rows.layout())
+        self.rows = []
+        for index, direction in enumerate(sculptor.directions):
+            unit = sculptor.unit(index)
+            one = DirectionRow(
+                sculptor.names[index], sculptor.caption(index), direction.low / unit, direction.high / unit,
+                direction.histogram, direction.edges / unit,
+            )  # fmt: skip
+            one.moved.connect(lambda value, index=index: self.slid.emit(index, value))
+            one.released.connect(lambda index=index: self.let_go.emit(index))
+            one.locked.connect(lambda on, index=index: self._lock(index, on))
+            (self.direction_rows if index < sculptor.coarse else self.finer_rows.layout()).addWidget(one)
+            self.rows.append(one)
+        finer = len(self.rows) - sculptor.coarse
+        self.finer.setVisible(finer > 0)
+        self.finer.setText(f"{finer} finer directions")
+        self.direction_count.setText(f"{sculptor.coarse} of {len(self.rows)}")
+        refresh(self, self.session.theme)
+
+    def _fill_parts(self) -> None:
+        sculptor = self.sculptor
+        clear(self.part_rows)
+        self.switches = {}
+        always, seen = sculptor.always(), sculptor.seen()
+        shown = [part for part in range(len(sculptor.part_names)) if seen[part]]
+        holders: list[QWidget] = []
+        for part in shown:
+            colour = "#{:02X}{:02X}{:02X}".format(*part_colours(len(sculptor.part_names))[part])
+            switch = Switch(True, "Every shape of the family has it" if always[part] else "Switch this part on or off")
+            switch.setEnabled(not always[part])
+            switch.setAccessibleName(sculptor.part_names[part])
+            switch.clicked.connect(lambda on, part=part: self.switched.emit(part, on))
+            self.switches[part] = switch
+            holder = QWidget()
+            holder.setLayout(row(Swatch(colour), 2, label(sculptor.part_names[part]), None, switch, spacing=6))
+            holders.append(holder)
+        for pair in zip(holders[::2], [*holders[1::2], QWidget()], strict=False):
+            line = row(*pair, spacing=16)
+            line.setStretch(0, 1)
+            line.setStretch(1, 1)
+            self.part_rows.addLayout(line)
+        fixed = [sculptor.part_names[part] for part in shown if always[part]]
+        words = " and ".join(([", ".join(fixed[:-1])] if fixed[:-1] else []) + fixed[-1:])
+        self.part_note.setText(f"{words.capitalize()}: on every shape of the family." if fixed else "")
+
+    def _toggle_finer(self) -> None:
+        self.finer_rows.setVisible(not self.finer_rows.isVisible())
+
+    def _lock(self, index: int, on: bool) -> None:
+        self.locked = self.locked | {index} if on else self.locked - {index}
