@@ -4,7 +4,7 @@
 
 The brush works on a bumpy sheet of ``--faces`` face records; sliders on a machine learnt briefly on a generated family
 with its true correspondences (their speed does not depend on how well it was learnt).  Pictures are 1000 x 640 pixels,
-off screen, one sample per pixel.  Medians in milliseconds of wall clock, one BLAS thread; "first" calls are shown apart.
+off screen, one sample per pixel.  Medians in milliseconds of wall clock, one BLAS thread; "first" calls apart.
 The last line is one JSON object.
 """
 

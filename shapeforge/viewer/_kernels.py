@@ -10,7 +10,7 @@ from numba import njit
 def walk_within(start, neighbour, middle, centre, face, position, radius):  # pragma: no cover - compiled
     """Faces whose centre is within ``radius`` of ``position`` on ``face``, along centre - edge middle - centre paths.
 
-    A Dijkstra with a binary heap; the work is proportional to the faces reached, not to the mesh, but for one byte each.
+    A Dijkstra with a binary heap; but for one byte a face, the work is that of the faces reached.
     """
     n = len(start) - 1
     settled = np.zeros(n, np.uint8)

@@ -102,7 +102,7 @@ def along(surface: FaceSurface, face: int, position: Float[np.ndarray, " 3"], ra
 
 
 def through(surface: FaceSurface, face: int, position: Float[np.ndarray, " 3"], radius: float) -> Int[np.ndarray, " n"]:
-    """Faces whose centre is within ``radius`` diagonals of ``position`` in space, even behind others; ``face`` always."""
+    """Faces whose centre is within ``radius`` diagonals of ``position`` in space, seen or not; ``face`` always."""
     near = np.asarray(surface.tree.query_ball_point(position, radius), np.int64)
     return np.union1d(near, [face])
 

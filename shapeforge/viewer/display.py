@@ -1,7 +1,7 @@
 """What a view shows, as arrays: meshes, points, lines, marks and words.  Pure numpy; nothing here draws.
 
 A place turns the Session into a :class:`Display`; ``scene.py`` puts its meshes, points and lines into a plotter, the
-window paints its marks and words above them.  Layers are compared by the identity of their arrays, so a place that keeps
+window paints its marks and words above them.  Layers are compared by the identity of their arrays: a place that keeps
 an array object alive pays nothing for it in the next frame.  All positions are normal coordinates (diagonals, y up).
 """
 

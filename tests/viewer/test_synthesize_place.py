@@ -193,8 +193,9 @@ def test_sliders_are_named_after_what_they_do():
     leaning[400:, 2] -= 0.5 * (base[400:, 1] - 0.05)
     found = [name for _, name in changes(base, leaning, part, names, exists)]
     assert found.index("Lean of the back") < found.index("Splay of the back") and "Lean of the back" in found[:4]
-    assert choose_names([[(0.1, "Width"), (0.09, "Depth")], [(0.1, "Width"), (0.07, "Height")], [(0.1, "Width")], [(0.001, "Width")]],
-                        ["a", "b", "c", "d"]) == ["Width", "Height", "Width (2)", "d"]  # fmt: skip
+    wide = [(0.1, "Width"), (0.09, "Depth")]
+    found = [wide, [(0.1, "Width"), (0.07, "Height")], [(0.1, "Width")], [(0.001, "Width")]]
+    assert choose_names(found, ["a", "b", "c", "d"]) == ["Width", "Height", "Width (2)", "d"]
     moves = np.where(part == 1, 0.09, 0.01)
     assert what_moves(moves, part, names, exists) == "moves: back · 9% of size"
     assert what_moves(moves, part, names, np.array([True, False])) == "moves: seat · 1% of size"

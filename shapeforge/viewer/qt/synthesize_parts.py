@@ -71,7 +71,7 @@ class DirectionRow(QFrame):
 
 
 class FamilyMap(QWidget):
-    """The shapes of the family as dots in their groups' colours; where the shape in hand lies; click goes to a shape."""
+    """The family's shapes as dots in their groups' colours; where the shape in hand lies; a click takes a shape."""
 
     chosen = Signal(int)
 

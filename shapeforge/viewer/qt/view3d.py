@@ -251,7 +251,7 @@ class View3D(QWidget):
         self.camera_changed()
 
     def turn(self, right: Number, down: Number) -> None:
-        """Turn by a drag of ``right`` and ``down`` pixels: about the vertical, and up or down but never over the top."""
+        """Turn by a drag of ``right`` and ``down`` pixels: about the vertical, and up or down, not over the top."""
         camera = self.scene.camera
         away = np.array(camera.GetPosition()) - np.array(camera.GetFocalPoint())
         azimuth = math.degrees(math.atan2(away[0], away[2])) - DEGREES_PER_PIXEL * right
