@@ -20,8 +20,6 @@ from shapeforge.viewer.palette import SWITCHED_OFF, heat, part_colours, rgb
 POINT_SIZE, OFF_SIZE = 4.2, 2.4
 SMALLEST_MOVE = 2e-3
 """Diagonals a point must have moved for its line to be drawn."""
-LEAP = 0.15
-"""Mean movement (diagonals) in one round that no template makes: it was exchanged for another."""
 FULL_HEAT = 0.05
 """Movement (diagonals) shown as the hottest colour."""
 
@@ -117,9 +115,7 @@ def movement(now: FittedPoints, before: FittedPoints | None) -> Float[np.ndarray
     """How far each template point moved (K,) in diagonals; None when another template explained the shape before."""
     if before is None or before.template != now.template or len(before.positions) != len(now.positions):
         return None
-    moved = np.linalg.norm(now.positions - before.positions, axis=1).astype(float)
-    # Rounds on disk do not say which template they are of; a leap this long is another template's points.
-    return moved if moved.mean() < LEAP else None
+    return np.linalg.norm(now.positions - before.positions, axis=1).astype(float)
 
 
 def mesh_layer(shape: Shape, colour: str, opacity: float = 1.0, key: str = "mesh") -> MeshLayer:

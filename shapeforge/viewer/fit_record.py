@@ -101,12 +101,15 @@ class FitRecord:
             beliefs = self.project.beliefs(name)
             if beliefs is None:
                 return []
-            rounds = [np.asarray(points, np.float32) for points in self.project.rounds(name)]
-            # The file of a round does not say which template it was: points of another number were another's.
-            end = np.asarray(beliefs.deformed, np.float32)
+            index = self.project.fit_names.index(name)
+            templates = [int(figures["template"][index]) for figures in self.project.round_figures()]
+            rounds = [
+                FittedPoints(np.asarray(points, np.float32), template, beliefs.active)
+                for points, template in zip(self.project.rounds(name), templates, strict=False)
+            ]
+            end = FittedPoints(np.asarray(beliefs.deformed, np.float32), int(beliefs.template), beliefs.active)
             newest = max(self.newest, 0)
-            rounds = [*rounds[:newest], end] if len(rounds) >= newest else [end] * (newest + 1)
-            self._disk[name] = [FittedPoints(p, int(beliefs.template), beliefs.active) for p in rounds]
+            self._disk[name] = [*rounds[:newest], end] if len(rounds) >= newest else [end] * (newest + 1)
         return self._disk[name]
 
     def beliefs(self, name: str) -> Any | None:

@@ -189,12 +189,18 @@ def recorded_energies(project: Any) -> list[float]:
 
 def recorded_movement(project: Any) -> np.ndarray:
     """Mean movement (rounds - 1, T) of each shape's template points between recorded rounds, in diagonals."""
-    columns = []
-    for name in project.fit_names:
+    columns, templates = [], [figures["template"] for figures in project.round_figures()]
+    for index, name in enumerate(project.fit_names):
         rounds = [np.asarray(points, float) for points in project.rounds(name)]
         # another template may explain a shape from one round to the next: then there is no movement to tell
-        pairs = zip(rounds[:-1], rounds[1:], strict=True)
-        columns.append([np.linalg.norm(b - a, axis=1).mean() if a.shape == b.shape else np.nan for a, b in pairs])
+        columns.append(
+            [
+                np.linalg.norm(rounds[n + 1] - rounds[n], axis=1).mean()
+                if templates[n][index] == templates[n + 1][index]
+                else np.nan
+                for n in range(len(templates) - 1)
+            ]
+        )
     short = min((len(column) for column in columns), default=0)
     if not short:
         return np.zeros((0, 0))
