@@ -20,7 +20,7 @@ app = typer.Typer(
 )  # fmt: skip
 
 ProjectPath = Annotated[Path, typer.Argument(metavar="PROJECT", help="Folder of the project.", show_default=False)]
-Seed = Annotated[int | None, typer.Option(help="Seed of everything random (first run: 0).", show_default=False)]
+Seed = Annotated[int | None, typer.Option(min=0, help="Seed of everything random (first run: 0).", show_default=False)]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Worker threads (default: one per processor).")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on the last line.")]
 Restart = Annotated[bool, typer.Option("--restart", help="Redo all, even what is done.")]
@@ -371,7 +371,7 @@ def demo(
     family: Annotated[str, typer.Option(help="chairs or airplanes.")] = "chairs",
     count: Annotated[int, typer.Option(min=6, help="How many shapes to generate.")] = 40,
     points: Annotated[int, typer.Option(min=100, help="Samples per shape.")] = 1500,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
     jobs: Jobs = None,
     window: Annotated[bool, typer.Option(help="Open the window at the end, if there is a screen.")] = True,
     as_json: Json = False,

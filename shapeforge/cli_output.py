@@ -36,6 +36,8 @@ def follow(project: Any, steps: Iterator[Any], what: str) -> Any:
                     line, completed=latest.step, total=max(latest.of, 1), stage=latest.stage, phase=latest.phase,
                     description=escaped(latest.message + left),
                 )  # fmt: skip
+                if latest.phase in ("stale", "partial"):
+                    continue
                 if not console.is_terminal and latest.stage in ("fit", "refine") and latest.phase != "faces":
                     console.print(f"  {latest.message}", markup=False)
     except KeyboardInterrupt:
@@ -78,6 +80,8 @@ def one_line(error: BaseException) -> str:
     if isinstance(error, OSError) and error.strerror:
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror}. Check the path, its permissions and the free space."
+    if "cannot cache function" in text:  # numba: neither the package's folder nor the user's cache can be written
+        return "there is no folder to keep compiled code in. Set NUMBA_CACHE_DIR to a folder that can be written."
     if isinstance(error, ValueError | RuntimeError) and text:
         return text
     return f"{type(error).__name__}: {text or 'no message'}. The traceback is in the project's shapeforge.log."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from shapeforge.collection.labels import PartNames
+from shapeforge.collection.labels import LABELS_FILE, PartNames
 from shapeforge.stages import Progress, StageError, Task
 from shapeforge.store import Problem, Project, key_of
 from shapeforge.store_arrays import copy_file, read_record, write_record
 from shapeforge.store_results import write_names
 
+TEMPORARY = re.compile(r"\.tmp-[0-9]+-[0-9a-f]{6}$")
 SECONDS_BETWEEN_SAVES = 2.0
 """The list of shapes is written at most so often during an import: a kill costs no more work than this."""
 
@@ -50,6 +52,7 @@ def import_meshes(task: Task) -> Iterator[Progress]:
         raise StageError(str(error)) from error
     if not found and not project.names:
         raise StageError(f"meshes: wanted files or folders to import into {project.path}, got none")
+    _sweep(project)
     named = _named(project, found)
     readings, kept, failed = _plan(task, named)
     total = len(readings) + len(kept)
@@ -92,6 +95,14 @@ def import_meshes(task: Task) -> Iterator[Progress]:
     if named and not given_names & {*kept, *records_read}:
         raise StageError(f"nothing new was read: {problems[0]}")
     yield task.progress("read", total, total, text)
+
+
+def _sweep(project: Project) -> None:
+    """Delete the half-written files that a killed import left."""
+    for folder in (project.path / "meshes", project.path / "shapes"):
+        for file in folder.iterdir() if folder.is_dir() else ():
+            if TEMPORARY.search(file.name):
+                file.unlink(missing_ok=True)
 
 
 def _named(project: Project, found: Sequence[tuple[str, Path]]) -> list[tuple[str, Path]]:
@@ -242,6 +253,9 @@ def label(task: Task) -> Iterator[Progress]:
     except LabelError as error:
         raise StageError(str(error)) from error
     kept = any(not _can_be_read(project, folder, name, wanted) for name in project.labelled)
+    if project.part_names is not None and not (folder / LABELS_FILE).is_file():  # known ids keep their names
+        known = dict(zip(project.part_names.ids, project.part_names.names, strict=True))
+        given = PartNames(given.ids, tuple(map(known.get, given.ids, given.names)))
     part_names = merged_part_names(project.part_names if kept else None, given)
     translate = np.array([part_names.ids.index(part) for part in given.ids] + [-1], np.int32)
     taken, problems, absent = [], [], []
@@ -258,6 +272,8 @@ def label(task: Task) -> Iterator[Progress]:
             try:
                 faces = read_seg(file, project.shape_record(name)["n_faces"], given)
                 project.set_labels(name, translate[faces])
+                if (faces < 0).all():
+                    problem = Problem(str(file.resolve()), "warning", f"has no label: all of {name} is unlabelled")
                 taken.append(name)
                 message = name
             except LabelError as error:
@@ -309,9 +325,7 @@ def merged_part_names(present: PartNames | None, given: PartNames) -> PartNames:
     if present is None:
         return given
     names = dict(zip(present.ids, present.names, strict=True))
-    for identity, name in zip(given.ids, given.names, strict=True):
-        if identity not in names or name != f"part {identity}":  # what a folder without labels.json calls its parts
-            names[identity] = name
+    names |= dict(zip(given.ids, given.names, strict=True))
     twice = next((name for name in names.values() if list(names.values()).count(name) > 1), None)
     if twice is not None:
         which = " and ".join(str(identity) for identity, name in names.items() if name == twice)

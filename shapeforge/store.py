@@ -50,6 +50,8 @@ __all__ = ["FORMAT_VERSION", "Problem", "Project", "ProjectError", "StoredShapes
 FORMAT_VERSION = 1
 SHAPES_IN_MEMORY = 256 << 20
 """Bytes of prepared shapes kept in memory; the shape used longest ago goes first."""
+_METADATA = {"name": str, "shapes": dict, "problems": list, "labels": dict, "stages": dict}
+_SHAPE_RECORD = {"file", "source", "sha256", "key", "modified", "size", "n_faces"}
 _OWN_FILES = {"project.json", "shapeforge.log", "lock", "meshes", "shapes", "labels"}
 
 
@@ -386,6 +388,12 @@ def _read_metadata(path: Path) -> dict[str, Any]:
     if metadata.get("version") != FORMAT_VERSION:
         problem = f"has format version {metadata.get('version')}, this shapeforge reads {FORMAT_VERSION}"
         raise ProjectError(path, problem, "Update shapeforge, or import the meshes into a new project")
+    wrong = [name for name, kind in _METADATA.items() if not isinstance(metadata.get(name), kind)]
+    shapes = metadata["shapes"].values() if not wrong else ()
+    if wrong or any(not isinstance(record, dict) or not record.keys() >= _SHAPE_RECORD for record in shapes):
+        problem = f"is incomplete ({wrong[0] if wrong else 'a shape'} is not as it was written)"
+        remedy = "Restore it from a copy, or import the meshes into a new project"
+        raise ProjectError(path / "project.json", problem, remedy)
     return metadata
 
 

@@ -55,6 +55,8 @@ _REMEDIES = {
     errno.EACCES: "Make the folder writable, or use a project in another place",
     errno.EPERM: "Make the folder writable, or use a project in another place",
     errno.EROFS: "The disk is read-only: use a project in another place",
+    errno.ENOTDIR: "Name a folder: one part of this path is a file",
+    errno.EEXIST: "Name a folder: one part of this path is a file",
     errno.ENOENT: "The folder was moved or deleted meanwhile: open the project at its new place",
 }
 

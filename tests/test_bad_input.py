@@ -266,3 +266,166 @@ def test_bad_truth_is_named(
         file.write_text(content)
     status, _, err = run(capsys, "validate", project.path, option, file)
     assert status == 1 and str(file) in err and expected in err
+
+
+# -- a failure leaves no trace ---------------------------------------------------------------------------------------
+
+
+def test_refused_options_are_not_kept(project: Project, capsys: pytest.CaptureFixture[str]) -> None:
+    """Options keep their value from run to run: a name that was refused must not haunt every later command."""
+    assert run(capsys, "group", project.path, "--exemplars", "cube")[0] == 0
+    before = Project.open(project.path).stage_record("group")
+    assert run(capsys, "group", project.path, "--exemplars", "sphere")[0] == 1
+    assert run(capsys, "group", project.path, "--exemplars", "cube", "cube")[0] == 1
+    assert Project.open(project.path).stage_record("group") == before
+    status, out, _ = run(capsys, "group", project.path)
+    assert status == 0 and "up to date" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status"),
+    [
+        (("fit", "P"), 1),
+        (("info", "nowhere"), 1),
+        (("validate", "P"), 1),
+        (("export", "P", "--out", "o"), 1),
+        (("fit", "P", "--rounds", "0"), 2),
+        (("fit", "P", "--seed", "-1"), 2),
+        (("synthesize", "P", "--count", "0", "--out", "o"), 2),
+    ],
+)
+def test_json_says_what_failed(
+    project: Project, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], status: int
+) -> None:
+    words = [str(project.path) if word == "P" else word for word in arguments]
+    got, out, _ = run(capsys, *words, "--json")
+    found = json.loads(out.splitlines()[-1])
+    assert got == status and found["verb"] == arguments[0] and found["error"]
+
+
+def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
+    from shapeforge.cli_output import print_json
+
+    print_json({"a": float("nan"), "b": [np.float32(1.5), np.inf], "c": np.arange(2), "d": Path("x"), "e": {1: None}})
+    found = json.loads(capsys.readouterr().out, parse_constant=lambda word: pytest.fail(f"{word} is no JSON"))
+    assert found == {"a": None, "b": [1.5, None], "c": [0, 1], "d": "x", "e": {"1": None}}
+
+
+def test_what_a_killed_import_left_is_swept(project: Project, cube: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    left = [project.path / "shapes" / "cube.zarr.zip.tmp-17-0a9ee6", project.path / "meshes" / "x.obj.tmp-17-0a9ee6"]
+    for file in left:
+        file.write_bytes(b"half")
+    assert run(capsys, "import", project.path, cube)[0] == 0
+    assert not any(file.exists() for file in left) and project.shape_path("cube").is_file()
+
+
+# -- damaged projects ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        '{"format": "shapeforge project", "ver',
+        "[]",
+        '{"format": "shapeforge project", "version": 1}',
+        '{"format": "shapeforge project", "version": 1, "name": "x", "shapes": {"a": 1}, "problems": [], "labels": {}, '
+        '"stages": {}}',
+    ],
+)
+def test_a_damaged_project_file_is_named(project: Project, capsys: pytest.CaptureFixture[str], content: str) -> None:
+    (project.path / "project.json").write_text(content)
+    status, _, err = run(capsys, "info", project.path)
+    assert status == 1 and "project.json" in err and str(project.path) in err and "Error" not in err
+
+
+def test_damaged_results_name_the_command_that_helps(project: Project, capsys: pytest.CaptureFixture[str]) -> None:
+    def cut(path: Path) -> None:
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+    assert run(capsys, "group", project.path)[0] == 0
+    cut(project.path / "groups.zarr.zip")
+    status, _, err = run(capsys, "info", project.path)
+    assert status == 1 and "groups.zarr.zip" in err and f"shapeforge group {project.path}" in err
+    (project.path / "groups.zarr.zip").unlink()
+    status, out, _ = run(capsys, "info", project.path, "--json")
+    assert status == 0 and json.loads(out.splitlines()[-1])["stages"]["group"]["state"] == "stale"
+    assert run(capsys, "group", project.path)[0] == 0 and (project.path / "groups.zarr.zip").is_file()
+
+    cut(project.shape_path("cube"))
+    status, _, err = run(capsys, "cosegment", project.path)
+    assert status == 1 and "cube.zarr.zip" in err and f"shapeforge import {project.path}" in err
+    project.shape_path("cube").unlink()
+    assert run(capsys, "import", project.path)[0] == 0 and project.shape_path("cube").is_file()
+
+
+def test_another_sampling_says_what_became_stale(project: Project, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(capsys, "group", project.path)[0] == 0
+    status, out, err = run(capsys, "import", project.path, "--points", 150, "--json")
+    assert status == 0 and "stale now" in err and json.loads(out.splitlines()[-1])["stale"] == ["group"]
+
+
+# -- labels of several files -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Project:
+    """A project of two cubes, a and b."""
+    (tmp_path / "two").mkdir()
+    for name in "ab":
+        (tmp_path / "two" / f"{name}.obj").write_text(CUBE)
+    assert run(capsys, "import", tmp_path / "p2", tmp_path / "two", "--points", 200)[0] == 0
+    return Project.open(tmp_path / "p2")
+
+
+def test_a_bad_seg_does_not_spoil_the_others(two: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also without a labels.json, where the parts are looked up in all files."""
+    (tmp_path / "two" / "a.seg").write_text("leg\n")
+    (tmp_path / "two" / "b.seg").write_text("0\n0\n3\n-1\n3\n0\n")
+    status, _, err = run(capsys, "label", two.path, tmp_path / "two")
+    assert status == 0 and "a.seg" in err
+    assert Project.open(two.path).labelled == ("b",)
+    status, _, err = run(capsys, "label", two.path, tmp_path / "two", "--only", "a")
+    assert status == 1 and "a.seg" in err and "0 of 1 shapes were labelled" in err
+
+
+def test_exemplars_without_labels_are_said(two: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(capsys, "group", two.path, "--exemplars", "a", "b")[0] == 0
+    (tmp_path / "two" / "b.seg").write_text("0\n" * 6)
+    status, out, err = run(capsys, "label", two.path, tmp_path / "two", "--only", "exemplars", "--json")
+    assert status == 0 and "a.seg" in err and json.loads(out.splitlines()[-1])["without"] == ["a"]
+    (tmp_path / "two" / "a.seg").write_text("0\n")
+    assert run(capsys, "label", two.path, tmp_path / "two", "--only", "exemplars")[0] == 1
+
+
+def test_a_label_file_without_labels_is_doubtful(
+    project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "good" / "cube.seg").write_text("-1\n" * 6)
+    (tmp_path / "good" / "labels.json").write_text('{"1": "leg"}')
+    status, _, err = run(capsys, "label", project.path, tmp_path / "good")
+    assert status == 0 and "cube.seg" in err and "unlabelled" in err
+
+
+def test_names_of_parts_survive_and_stay_different(
+    two: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "two"
+    for name in "ab":
+        (folder / f"{name}.seg").write_text("0\n0\n3\n-1\n3\n0\n")
+    (folder / "labels.json").write_text('{"0": "seat", "3": "leg"}')
+    assert run(capsys, "label", two.path, folder)[0] == 0
+    (folder / "labels.json").unlink()
+    assert run(capsys, "label", two.path, folder, "--only", "a")[0] == 0
+    assert Project.open(two.path).part_names.names == ("seat", "leg")
+    (folder / "labels.json").write_text('{"7": "seat"}')
+    status, _, err = run(capsys, "label", two.path, folder, "--only", "a")
+    assert status == 1 and "'seat'" in err and "0 and 7" in err
+    (folder / "labels.json").write_text('{"0": "top", "3": "seat"}')
+    assert run(capsys, "label", two.path, folder)[0] == 0
+    assert Project.open(two.path).part_names.names == ("top", "seat")
+
+
+def test_a_report_needs_a_file(project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, _, err = run(capsys, "report", project.path, "--out", tmp_path)
+    assert status == 1 and "is a folder" in err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -173,6 +174,53 @@ def test_new_meshes_are_labelled_face_by_face(folder: Path) -> None:
     assert measures.keys() == {file.stem for file in files}
     project = Project.open(folder / "project")
     assert measures[files[0].stem]["sources"] and project.draws()["names"] == [file.stem for file in files]
+
+
+def test_new_meshes_that_were_deleted_are_written_again(folder: Path, capsys) -> None:
+    lost = sorted((folder / "new").glob("*.ply"))[0]
+    before = lost.read_bytes()
+    lost.unlink()
+    status, _, err = run(capsys, "synthesize", folder / "project", "--out", folder / "new")
+    assert status == 0 and lost.name in err and lost.read_bytes() == before
+
+
+def test_lost_results_are_made_again(folder: Path, tmp_path: Path, capsys) -> None:
+    """The same fit comes out again, so what was learned from it stays true."""
+    copy = tmp_path / "project"
+    shutil.copytree(folder / "project", copy)
+    project = Project.open(copy)
+    before = project.positions(project.names[2])
+    (project.current_folder("fit") / "shapes" / f"{project.names[2]}.zarr.zip").unlink()
+    status, out, _ = run(capsys, "info", copy, "--json")
+    assert status == 0 and json.loads(out.splitlines()[-1])["stages"]["fit"]["state"] == "stale"
+    status, _, err = run(capsys, "export", copy, "--out", tmp_path / "out")
+    assert status == 0 and "is gone" in err
+    again = Project.open(copy)
+    assert np.array_equal(again.positions(again.names[2]), before, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("option", "content", "expected"),
+    [
+        ("--landmarks", '{"sofa": {"tip": [1, 2, 3]}}', "sofa"),
+        ("--landmarks", "{}", "got none"),
+        ("--classes", "name,class\nsofa,long\n", "sofa"),
+    ],
+)
+def test_truth_about_other_shapes_is_no_truth(
+    folder: Path, tmp_path: Path, capsys, option: str, content: str, expected: str
+) -> None:
+    (tmp_path / "truth").write_text(content)
+    status, _, err = run(capsys, "validate", folder / "project", option, tmp_path / "truth")
+    assert status == 1 and expected in err and str(tmp_path / "truth") in err
+
+
+def test_a_temperature_that_is_no_number(folder: Path, capsys) -> None:
+    before = Project.open(folder / "project").stage_record("synthesize")
+    out = folder / "new"
+    status, _, err = run(capsys, "synthesize", folder / "project", "--out", out, "--temperature", "nan")
+    assert status == 1 and "temperature" in err
+    assert Project.open(folder / "project").stage_record("synthesize") == before
 
 
 @pytest.mark.parametrize("ending", ["glb", "obj", "stl"])
