@@ -106,16 +106,24 @@ def _sweep(project: Project) -> None:
 
 
 def _named(project: Project, found: Sequence[tuple[str, Path]]) -> list[tuple[str, Path]]:
-    """Names for the files found: a file keeps the name it has; a second file of that name gets its folder's before."""
+    """Names for the files found: a file keeps the name it has; a second file of that name gets its folders before.
+
+    A name whose file is gone is free: a collection that was moved is still the same collection.
+    """
     source_of = {name: project.shape_record(name)["source"] for name in project.names}
     name_of = {source: name for name, source in source_of.items()}
+    taken = {name for name, source in source_of.items() if Path(source).exists()}
     named = []
     for name, path in found:
-        source = str(path.resolve())
-        if source in name_of:
-            name = name_of[source]
-        elif name in source_of and Path(source_of[name]).exists():
-            name = f"{path.resolve().parent.name}__{name}"
+        source = path.resolve()
+        if str(source) in name_of:
+            name = name_of[str(source)]
+        elif name in taken:
+            folders = source.parent.parts[1:]
+            longer = ["__".join([*folders[-depth:], source.stem]) for depth in range(1, len(folders) + 1)]
+            others = taken | {other for other, _ in found}
+            name = next((word for word in longer if word not in others), "__".join([*folders, source.name]))
+        taken.add(name)
         named.append((name, path))
     return named
 

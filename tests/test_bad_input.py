@@ -141,7 +141,16 @@ def test_names_that_collide_are_told_apart(tmp_path: Path, capsys: pytest.Captur
     assert run(capsys, "import", tmp_path / "p", tmp_path / "b")[0] == 0
     assert Project.open(tmp_path / "p").names == ("b__chair", "chair")
     assert run(capsys, "import", tmp_path / "q", tmp_path / "a", tmp_path / "b", "--points", 200)[0] == 0
-    assert len(Project.open(tmp_path / "q").names) == 2
+    assert Project.open(tmp_path / "q").names == ("a__chair", "b__chair")
+    third = tmp_path / "c" / "b" / "chair.obj"  # its folder's name collides, too
+    third.parent.mkdir(parents=True)
+    third.write_text(CUBE)
+    assert run(capsys, "import", tmp_path / "p", third)[0] == 0
+    sources = {name: Project.open(tmp_path / "p").shape_record(name)["source"] for name in ("b__chair", "c__b__chair")}
+    assert sources == {"b__chair": str(tmp_path / "b" / "chair.obj"), "c__b__chair": str(third)}
+    # all files have their names by now, and the copies in the projects are no further shapes
+    assert run(capsys, "import", tmp_path / "p", tmp_path)[0] == 0
+    assert len(Project.open(tmp_path / "p").names) == 3
 
 
 def test_a_file_that_goes_bad_keeps_its_shape(project: Project, cube: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -26,7 +26,7 @@ class LabelError(ValueError):
         self.wanted = wanted
         self.got = got
         self.cause = cause
-        super().__init__(f"{self.path.name}: wanted {wanted}, got {got}." + (f" {cause}" if cause else ""))
+        super().__init__(f"{self.path.name or self.path}: wanted {wanted}, got {got}." + (f" {cause}" if cause else ""))
 
     def __reduce__(self):
         # the default would call LabelError(message): errors must survive the way back from a worker process

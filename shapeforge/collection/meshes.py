@@ -147,6 +147,7 @@ def find_meshes(paths: Iterable[str | Path]) -> list[tuple[str, Path]]:
     A shape's name is its file's stem.  Where stems collide, those shapes are named by their path without its ending,
     relative to what all of ``paths`` have in common, ``/`` written ``__``; where even these collide (``a.obj`` beside
     ``a.ply``), with the ending.  Files named outright are kept whatever their ending, so that reading them reports it.
+    Hidden files and the copies that projects keep (``meshes`` beside a ``project.json``) are passed over.
     Raises ``MeshError`` where a path does not exist or nothing is found.
     """
     asked = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
@@ -156,8 +157,10 @@ def find_meshes(paths: Iterable[str | Path]) -> list[tuple[str, Path]]:
     files: dict[Path, Path] = {}  # by what they are, links followed: nothing twice
     for path in asked:
         inside = sorted(path.rglob("*")) if path.is_dir() else [path]
+        copies = {file.parent / "meshes" for file in inside if file.name == "project.json"}
         for file in inside:
             hidden = any(part.startswith((".", "__MACOSX")) for part in file.relative_to(path).parts)
+            hidden = hidden or not copies.isdisjoint(file.parents)
             if file == path or (file.suffix.lower() in MESH_ENDINGS and file.is_file() and not hidden):
                 files.setdefault(file.resolve(), file)
     if not files:
