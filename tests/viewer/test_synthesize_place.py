@@ -270,6 +270,10 @@ def test_between_two_shapes_is_one_item_per_drag(place, qtbot):
     expected = place.sculptor.between(*(place.sculptor.base_of(n) for n in place._between), 0.8)
     assert np.allclose(place.sculptor.recipe.base.hidden2, expected.hidden2)
     assert place.actions.run("between") and not place.between.isVisibleTo(place.centre)
+    assert place.actions.run("between") and place.actions.run("mean_shape")
+    place.actions.run("undo")
+    place._go_to(0)
+    assert place._between is None and not place.between.isVisibleTo(place.centre)
 
 
 def test_a_handle_pulled_in_the_view_moves_sliders(place, qtbot):

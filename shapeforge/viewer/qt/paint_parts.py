@@ -14,6 +14,7 @@ from shapeforge.viewer.qt.icons import pixmap, set_icon
 from shapeforge.viewer.qt.theme import colours, font
 from shapeforge.viewer.qt.widgets import (
     Clickable,
+    ElidedLabel,
     Picture,
     Swatch,
     button,
@@ -221,12 +222,11 @@ class HistoryCard(Clickable):
         words = row(spacing=4, margins=(6, 0, 4, 0))
         if icon:
             words.addWidget(icon_label(icon, "text" if current else "text_2", 12))
-        name = label(text, "caption_off" if undone else "caption")
+        name = ElidedLabel(text, "caption_off" if undone else "caption")
         if current:
             set_style(name, "role", "strong")
             name.setStyleSheet("font-size: 11px;")
-        words.addWidget(name)
-        words.addStretch(1)
+        words.addWidget(name, 1)
         inside = column(row(None, self.picture, None), words, spacing=2, margins=(0, 5, 0, 5))
         super().__init__(inside, "card", tooltip="Undone: click to do it again" if undone else "Click to go back here")
         self.setFixedSize(*self.SIZE)

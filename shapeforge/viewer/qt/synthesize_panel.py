@@ -173,6 +173,8 @@ class SynthesizePlace:
         """Sliders or parts are others: new points at once, a preview when they rest, the mesh when let go."""
         if not self._entered or not self.sculptor.has_machine:
             return
+        if self._between is not None and self.sculptor.recipe.origin != " – ".join(self._between):
+            self._end_between()  # undo or the history led to a shape that is not between A and B
         self._wish += 1
         self._points = self.sculptor.points()
         self.inspector.show_values(self._points, self._between)
