@@ -41,9 +41,7 @@ def fit_principal_components(observations: Observations, components: int = 10) -
     return PrincipalComponents(tuple(patterns), np.bincount(which) / len(which))
 
 
-def reconstruct_by_components(
-    model: PrincipalComponents, observations: Observations
-) -> Float[np.ndarray, "T K 3"]:
+def reconstruct_by_components(model: PrincipalComponents, observations: Observations) -> Float[np.ndarray, "T K 3"]:
     """Every shape projected onto the components of its combination of parts (or of the most similar one seen)."""
     values = np.empty(observations.values.shape)
     states = np.stack([pattern.exists for pattern in model.patterns])

@@ -24,9 +24,7 @@ def log_features(values: np.ndarray) -> np.ndarray:
 
 
 def _centred(machine: BetaShapeMachine, hidden: Hidden) -> Hidden:
-    return Hidden(
-        hidden.first - machine.centre1, hidden.second - machine.centre2, hidden.third - machine.centre3
-    )
+    return Hidden(hidden.first - machine.centre1, hidden.second - machine.centre2, hidden.third - machine.centre3)
 
 
 def log_unnormalized(

@@ -343,4 +343,3 @@ def _calibrate(
         own = float(square[members].sum() / (3 * seen[members].sum())) if seen[members].sum() else everywhere
         spread[members] = np.sqrt((square[members] + 4 * own) / (seen[members] + 4))
     return replace(machine, spread=np.maximum(spread, 1e-3).astype(np.float32))
-

@@ -46,9 +46,7 @@ class Observations:
 
     def subset(self, shapes: Int[np.ndarray, " n"]) -> Observations:
         """The same family restricted to some shapes, by index."""
-        return Observations(
-            self.values[shapes], self.exists[shapes], self.part, self.part_names, self.low, self.high
-        )
+        return Observations(self.values[shapes], self.exists[shapes], self.part, self.part_names, self.low, self.high)
 
     def positions(self) -> Float[np.ndarray, "T K 3"]:
         """Normal coordinates again (T, K, 3), NaN where the part is absent."""

@@ -60,9 +60,7 @@ def fit_structure(
     visible, possible = exists.astype(float), states.astype(float)
     # Half a shape of doubt: a part that every shape has must not need an infinite bias.
     share = (visible.sum(axis=0) + 0.5) / (n_shapes + 1)
-    start = np.concatenate(
-        [np.log(share / (1 - share)), rng.normal(0, 0.3, n_parts * hidden), np.zeros(hidden)]
-    )
+    start = np.concatenate([np.log(share / (1 - share)), rng.normal(0, 0.3, n_parts * hidden), np.zeros(hidden)])
 
     def loss(flat: np.ndarray) -> tuple[float, np.ndarray]:
         bias, weights, hidden_bias = _unpack(flat, n_parts, hidden)

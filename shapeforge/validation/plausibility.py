@@ -33,9 +33,7 @@ def chamfer(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "m 3"]) -> float:
     return 0.5 * float(cKDTree(b).query(a)[0].mean() + cKDTree(a).query(b)[0].mean())
 
 
-def chamfer_table(
-    rows: Sequence[np.ndarray], columns: Sequence[np.ndarray] | None = None
-) -> Float[np.ndarray, "n m"]:
+def chamfer_table(rows: Sequence[np.ndarray], columns: Sequence[np.ndarray] | None = None) -> Float[np.ndarray, "n m"]:
     """Chamfer distances of every cloud of ``rows`` to every one of ``columns`` (to each other if None)."""
     trees = [cKDTree(cloud) for cloud in rows]
     others = trees if columns is None else [cKDTree(cloud) for cloud in columns]
@@ -67,9 +65,7 @@ def plausibility_of_table(table: Float[np.ndarray, "n n"], n_real: int) -> Plaus
     )
 
 
-def thin_cloud(
-    points: Float[np.ndarray, "n 3"], count: int, *, rng: np.random.Generator
-) -> Float[np.ndarray, "m 3"]:
+def thin_cloud(points: Float[np.ndarray, "n 3"], count: int, *, rng: np.random.Generator) -> Float[np.ndarray, "m 3"]:
     """``count`` of the finite points at random (all, where there are fewer): clouds of a size to compare."""
     points = points[np.isfinite(points).all(axis=1)]
     return points if len(points) <= count else points[rng.choice(len(points), count, replace=False)]

@@ -39,9 +39,7 @@ def summarize(values: Sequence[float] | Float[np.ndarray, " n"], *, rng: np.rand
         nan = float("nan")
         return Summary(nan, nan, nan, nan, nan, 0)
     low, high = bootstrap_interval(array, rng=rng)
-    return Summary(
-        float(array.mean()), low, high, float(np.median(array)), float(np.quantile(array, 0.1)), len(array)
-    )
+    return Summary(float(array.mean()), low, high, float(np.median(array)), float(np.quantile(array, 0.1)), len(array))
 
 
 def paired_difference(

@@ -33,9 +33,7 @@ def test_natural_form_equals_the_print_up_to_a_constant(case):
                 repeated(observations.values[shape].astype(float), len(states.first)),
                 repeated(np.array(exists), len(states.first)), states,
             )  # fmt: skip
-            gaps.append(
-                log_unnormalized(machine, *arguments) - log_unnormalized_as_printed(form, machine, *arguments)
-            )
+            gaps.append(log_unnormalized(machine, *arguments) - log_unnormalized_as_printed(form, machine, *arguments))
         assert np.ptp(gaps) < 1e-9
 
 
@@ -138,9 +136,7 @@ def test_mean_field_is_exact_without_couplings_between_hidden_layers():
     exists = repeated(observations.exists[0], len(states.first))
     log_p = log_unnormalized(machine, values, exists, states)
     latents = infer(machine, values[:1], exists[:1])
-    bound = mean_field_bound(
-        machine, values[:1], exists[:1], Hidden(latents.hidden1, latents.hidden2, latents.hidden3)
-    )
+    bound = mean_field_bound(machine, values[:1], exists[:1], Hidden(latents.hidden1, latents.hidden2, latents.hidden3))
     assert float(bound[0]) == pytest.approx(log_sum(log_p), abs=1e-9)
     expected = np.exp(log_p - log_sum(log_p)) @ states.first
     np.testing.assert_allclose(latents.hidden1[0], expected, atol=1e-9)

@@ -47,9 +47,7 @@ def make_table(width: float, depth: float, height: float, *, inset: float = 0.0,
     quads = np.concatenate([QUADS + 8 * i for i in range(5)])
     triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     mesh = Mesh(vertices, triangles, np.tile(np.arange(30), 2), 30)
-    points = scale * (
-        np.concatenate([box_points(low, high, 8) for low, high in boxes]) - centre
-    )
+    points = scale * (np.concatenate([box_points(low, high, 8) for low, high in boxes]) - centre)
     frame = Frame(scale, np.eye(3), centre)
     n = len(points)
     shape = Shape(

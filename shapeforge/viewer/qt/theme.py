@@ -145,7 +145,10 @@ QScrollBar::add-line, QScrollBar::sub-line {{ width: 0; height: 0; }}
 QScrollBar::add-page, QScrollBar::sub-page {{ background: transparent; }}
 QSlider::groove:horizontal {{ height: 4px; background: {separator_strong}; border-radius: 2px; }}
 QSlider::sub-page:horizontal {{ background: {accent}; border-radius: 2px; }}
-QSlider::handle:horizontal {{ background: #FFFFFF; width: 14px; height: 14px; margin: -5px 0; border-radius: 7px; }}
+QSlider::handle:horizontal {{
+  background: #FFFFFF; border: 1px solid {separator_strong}; width: 12px; height: 12px;
+  margin: -5px 0; border-radius: 7px;
+}}
 QSlider::handle:horizontal:disabled {{ background: {text_off}; }}
 QSlider::sub-page:horizontal:disabled {{ background: {separator_strong}; }}
 QProgressBar {{ background: {separator_strong}; border: none; border-radius: 2px; max-height: 4px; min-height: 4px; }}
