@@ -6,6 +6,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -55,7 +56,6 @@ class SourcePart:
     """Part ``part`` of a training shape, ready to be bent; everything in normal coordinates (diagonals).
 
     ``handles`` (C, 3) are the surface points that correspond to the template points ``template`` (C,);
-    ``rows`` (V, 4N) and ``handle_rows`` (C, 4N) are the bases of vertices and handles in ``graph``;
     ``piece`` numbers the pieces of the part: connected components, those that touch counted as one;
     ``anchors`` tells, for every other part that this one touches, where.
     """
@@ -67,11 +67,23 @@ class SourcePart:
     piece: Int[np.ndarray, " V"]
     template: Int[np.ndarray, " C"]
     handles: Float[np.ndarray, "C 3"]
-    graph: DeformationGraph
-    rows: csr_array
-    handle_rows: csr_array
     quality: PartQuality
     anchors: Mapping[int, Anchors] = field(default_factory=dict)
+
+    @cached_property
+    def graph(self) -> DeformationGraph:
+        """The deformation graph; made when the part is first bent, since most parts are only ever compared."""
+        return build_graph(self.vertices)
+
+    @cached_property
+    def rows(self) -> csr_array:
+        """Basis (V, 4N) of the vertices in ``graph``."""
+        return self.graph.basis(self.vertices)
+
+    @cached_property
+    def handle_rows(self) -> csr_array:
+        """Basis (C, 4N) of the handles in ``graph``."""
+        return self.graph.basis(self.handles)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,10 +206,8 @@ def read_parts(
             continue
         vertices, triangles = subdivide_long_edges(coarse_vertices, coarse, length=EDGE_LENGTH, limit=TRIANGLE_LIMIT)
         handles = np.asarray(positions[template], float)
-        graph = build_graph(vertices)
         found[l] = SourcePart(
-            shape.name, l, vertices, triangles, touching_pieces(vertices, triangles), template, handles, graph,
-            graph.basis(vertices), graph.basis(handles),
+            shape.name, l, vertices, triangles, touching_pieces(vertices, triangles), template, handles,
             part_quality(mesh, label, l, vertices, triangles, handles),
         )  # fmt: skip
     anchors = _find_anchors(found)
