@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -35,3 +37,19 @@ def real_shapes() -> Path:
     if not folder.is_dir():
         pytest.skip(f"the real shapes are not here: {folder} does not exist (set SHAPEFORGE_DATA)")
     return folder
+
+
+def pytest_sessionfinish() -> None:
+    """Close the window system's connection while its server lives: pytest-xvfb stops the server before Python exits,
+    and Xlib ends a process whose server went away, with status 1, whatever the tests said."""
+    pictures = sys.modules.get("shapeforge.viewer.pictures")
+    if pictures is not None:
+        pictures.close_studio()
+    plotters = sys.modules.get("pyvista")
+    if plotters is not None:
+        plotters.close_all()
+    widgets = sys.modules.get("PySide6.QtWidgets")
+    application = widgets.QApplication.instance() if widgets is not None else None
+    if application is not None:
+        application.shutdown()
+    gc.collect()

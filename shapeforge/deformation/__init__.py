@@ -1,6 +1,7 @@
 """The probabilistic deformation model (§4): part templates, and through them correspondences and segmentations.
 
-``fit`` is Algorithm 1 as an iterator of states; ``updates`` the mean-field steps it is made of, ``factors`` and ``energy``
-what they descend on, ``existence`` which parts a shape has; ``hierarchy`` links the groups' templates into one family,
-``faces`` takes labels from points to faces, ``boxes`` proposes parts where nothing was painted, ``apply`` fits new shapes.
+``fit`` is Algorithm 1 as an iterator of states; ``updates`` are the mean-field steps it is made of, ``factors`` and
+``energy`` what they descend on, ``existence`` which parts a shape has; ``hierarchy`` links the groups' templates into
+one family, ``faces`` takes labels from points to faces, ``boxes`` proposes parts where nothing was painted, ``apply``
+fits new shapes.
 """

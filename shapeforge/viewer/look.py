@@ -137,6 +137,7 @@ def frame_of(
 
 
 def floor_actor(vertices: np.ndarray, triangles: np.ndarray, strength: float) -> vtkActor:
+    """The blurred contact shadow under a mesh, vertices (V, 3) and triangles (N, 3), a textured plane."""
     picture, (x0, x1, z0, z1), y = floor_shadow(vertices, triangles, strength)
     y -= 0.002
     plane = vtkPlaneSource()
