@@ -10,17 +10,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from shapeforge.collection.colours import part_colours
 from shapeforge.collection.labels import PartNames, write_part_names, write_seg
 from shapeforge.stages import Progress, StageError, Task
 from shapeforge.store import Project
 from shapeforge.store_arrays import clear_disk_errors, read_record, write_record, write_text
 
 FORMATS = ("glb", "ply", "obj", "stl")
-PART_COLOURS = np.array(
-    [[230, 159, 0], [86, 180, 233], [0, 158, 115], [213, 94, 0], [204, 121, 167], [240, 228, 66], [0, 114, 178]],
-    np.uint8,
-)
-"""Colours of parts in meshes (Okabe-Ito), from the first again when there are more parts."""
 
 
 def synthesize(task: Task) -> Iterator[Progress]:
@@ -92,11 +88,6 @@ def write_labelled(out: Path, name: str, made: dict[str, Any], part_names: PartN
             centres = made["vertices"][made["triangles"]].mean(axis=1)
             part = part[cKDTree(centres).query(read_mesh(path).face_centres)[1]]
         write_seg(out / f"{name}.seg", part, part_names)
-
-
-def part_colours(count: int) -> np.ndarray:
-    """Colours (count, 3) uint8 of the first ``count`` parts."""
-    return PART_COLOURS[np.arange(count) % len(PART_COLOURS)]
 
 
 def sources_of(project: Project) -> Any:

@@ -7,6 +7,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from shapeforge.collection.colours import colour_table, cycle, part_colours, rgb
+
 Theme = Literal["dark", "light"]
 
 DARK: dict[str, str] = {
@@ -56,21 +58,6 @@ LIGHT: dict[str, str] = {
     "floor": "#C4C8CF",
 }
 
-PARTS: tuple[str, ...] = (
-    "#E69F00",
-    "#56B4E9",
-    "#009E73",
-    "#D55E00",
-    "#CC79A7",
-    "#F0E442",
-    "#0072B2",
-    # Beyond Okabe and Ito's seven: apart from them, and from each other, in lightness more than in hue.
-    "#8C6BB1",
-    "#B8D96E",
-    "#7F4F24",
-    "#F4A6A0",
-    "#3C6E71",
-)
 GROUPS: tuple[str, ...] = ("#9DB4E0", "#D9A8BF", "#D8C08A", "#B3CB95", "#8FC9CB", "#C2AEE0", "#E0AE94", "#A9C4B4")
 # The second stop is darker than the first, so that lightness falls all the way and heat reads in grey, too.
 HEAT: tuple[str, ...] = ("#D3D6DC", "#EDCB93", "#F0934A", "#CF3B1E", "#7D0A12")
@@ -83,44 +70,21 @@ def tokens(theme: Theme) -> dict[str, str]:
     return LIGHT if theme == "light" else DARK
 
 
-def rgb(colour: str) -> tuple[int, int, int]:
-    """Red, green, blue (0..255) of a "#RRGGBB" colour."""
-    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
-
-
-def _table(colours: tuple[str, ...]) -> np.ndarray:
-    return np.array([rgb(colour) for colour in colours], dtype=np.uint8)
-
-
-def _cycle(colours: tuple[str, ...], n: int) -> np.ndarray:
-    """The first ``n`` colours; each further turn through the list is a quarter darker, so none repeats at once."""
-    if n < 0:
-        raise ValueError(f"n must be 0 or more, got {n}")
-    index = np.arange(n)
-    shade = 0.75 ** (index // len(colours))
-    return np.round(_table(colours)[index % len(colours)] * shade[:, None]).astype(np.uint8)
-
-
-def part_colours(n: int) -> UInt8[np.ndarray, "n 3"]:
-    """Colours (n, 3) of parts 0..n-1: the colour-blind-safe set of Okabe and Ito, extended."""
-    return _cycle(PARTS, n)
-
-
 def group_colours(n: int) -> UInt8[np.ndarray, "n 3"]:
     """Colours (n, 3) of groups 0..n-1: soft, so that they are not mistaken for parts."""
-    return _cycle(GROUPS, n)
+    return cycle(GROUPS, n)
 
 
 def label_colours(labels: Int[np.ndarray, " n"], n_parts: int) -> UInt8[np.ndarray, "n 3"]:
     """Colours (n, 3) of part indices (n,); -1 (and anything outside 0..n_parts-1) is the unpainted grey."""
-    table = np.vstack([part_colours(n_parts), _table((UNPAINTED,))])
+    table = np.vstack([part_colours(n_parts), colour_table((UNPAINTED,))])
     known = (labels >= 0) & (labels < n_parts)
     return table[np.where(known, labels, n_parts)]
 
 
 def heat(values: Float[np.ndarray, " n"]) -> UInt8[np.ndarray, "n 3"]:
     """Colours (n, 3) of values in 0..1 (clipped; NaN is 0); lightness falls all the way, so it reads in grey too."""
-    stops = _table(HEAT).astype(float)
+    stops = colour_table(HEAT).astype(float)
     at = np.clip(np.nan_to_num(np.asarray(values, dtype=float)), 0.0, 1.0) * (len(stops) - 1)
     low = np.minimum(at.astype(int), len(stops) - 2)
     share = (at - low)[:, None]

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from shapeforge.collection.colours import PARTS
 from shapeforge.viewer import likeness, svg
-from shapeforge.viewer.palette import PARTS, group_colours, part_colours
+from shapeforge.viewer.palette import group_colours, part_colours
 from shapeforge.viewer.report_html import dot, image, number, percent, table
 
 CARD, FACE, WIDE = (112, 112), (168, 168), (150, 150)

@@ -8,9 +8,10 @@ from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QColor
 
 from shapeforge import stages
+from shapeforge.collection.colours import PARTS
 from shapeforge.store import Project
 from shapeforge.viewer.fit_display import FittedPoints, TemplateLook, movement, point_colours, sureness, to_plane
-from shapeforge.viewer.palette import PARTS, SWITCHED_OFF, rgb
+from shapeforge.viewer.palette import SWITCHED_OFF, rgb
 from shapeforge.viewer.qt.fit_panel import FitPlace
 from shapeforge.viewer.qt.fit_widgets import draw_points
 from shapeforge.viewer.qt.plots import nice_ticks

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from shapeforge.collection.colours import PARTS
 from shapeforge.viewer import palette
 from shapeforge.viewer.session import Session
 
@@ -111,7 +112,7 @@ def test_neighbouring_parts_never_share_a_colour():
 def test_unknown_labels_are_unpainted_grey():
     colours = palette.label_colours(np.array([0, -1, 5]), 2)
     assert tuple(colours[1]) == tuple(colours[2]) == palette.rgb(palette.UNPAINTED)
-    assert tuple(colours[0]) == palette.rgb(palette.PARTS[0])
+    assert tuple(colours[0]) == palette.rgb(PARTS[0])
 
 
 @pytest.mark.parametrize("name", ["DARK", "LIGHT"])
