@@ -6,10 +6,6 @@
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-all lint format setup clean
-# A virtual screen around the whole run where there is one: stopped from within, it can take the exit status with it.
-SCREEN := xvfb-run -a -s "-screen 0 1600x1000x24"
-PYTEST = if command -v xvfb-run >/dev/null; then $(SCREEN) .venv/bin/python -m pytest --no-xvfb $(1); \
-	else .venv/bin/python -m pytest $(1); fi
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | head -4
@@ -20,10 +16,10 @@ demo: .venv/.packages
 	.venv/bin/shapeforge demo demo
 
 test: .venv/.packages .venv/.libraries
-	@$(call PYTEST,-m "not slow" -q)
+	@.ci/test -m "not slow" -q
 
 test-all: .venv/.packages .venv/.libraries
-	@$(call PYTEST,-q)
+	@.ci/test -q
 
 lint: .venv/.packages
 	.venv/bin/ruff check .
