@@ -161,5 +161,7 @@ def test_a_new_shape_is_fitted_without_refitting(family, states):
     shapes, _, truth, _ = family
     last = states[-1]
     beliefs = fit_one(shapes[3], last.templates, last.covariances, annealed_from=last.annealed_from, rounds=6)
-    right = beliefs.segmentation.argmax(axis=1) == truth[3][shapes[3].face_of_point]
-    assert right.mean() > 0.72
+    wanted = truth[3][shapes[3].face_of_point]
+    alone = (beliefs.segmentation.argmax(axis=1) == wanted).mean()
+    together = (last.beliefs[3].segmentation.argmax(axis=1) == wanted).mean()
+    assert alone > together - 0.03, "as good as when the shape was part of the family's fit"

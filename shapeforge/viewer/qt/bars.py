@@ -26,7 +26,7 @@ class Histogram(QWidget):
         self._here = here
         self.update()
 
-    def paintEvent(self, event: QEvent) -> None:  # noqa: N802
+    def paintEvent(self, event: QEvent) -> None:
         if not len(self._values):
             return
         tokens = colours(self)
@@ -81,7 +81,7 @@ class HeatRamp(QWidget):
         super().__init__()
         self.setFixedHeight(10)
 
-    def paintEvent(self, event: QEvent) -> None:  # noqa: N802
+    def paintEvent(self, event: QEvent) -> None:
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         ramp = QLinearGradient(0, 0, self.width(), 0)
@@ -137,7 +137,7 @@ class RangeSlider(QWidget):
         value = self.low + min(max(share, 0.0), 1.0) * (self.high - self.low)
         return 0.0 if abs(self.x_of(value) - self.x_of(0.0)) < 3 else value  # the middle is easy to find again
 
-    def paintEvent(self, event: QEvent) -> None:  # noqa: N802
+    def paintEvent(self, event: QEvent) -> None:
         tokens = colours(self)
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
@@ -163,25 +163,25 @@ class RangeSlider(QWidget):
         painter.drawEllipse(QPointF(here, groove), 6.5, 6.5)
         painter.end()
 
-    def mousePressEvent(self, event: QMouseEvent) -> None:  # noqa: N802
+    def mousePressEvent(self, event: QMouseEvent) -> None:
         if event.button() == Qt.MouseButton.LeftButton and not self.locked:
             self.is_dragged = True
             self._move(self._value_at(event.position().x()))
 
-    def mouseMoveEvent(self, event: QMouseEvent) -> None:  # noqa: N802
+    def mouseMoveEvent(self, event: QMouseEvent) -> None:
         if self.is_dragged:
             self._move(self._value_at(event.position().x()))
 
-    def mouseReleaseEvent(self, event: QMouseEvent) -> None:  # noqa: N802
+    def mouseReleaseEvent(self, event: QMouseEvent) -> None:
         if self.is_dragged:
             self.is_dragged = False
             self.update()
             self.released.emit()
 
-    def mouseDoubleClickEvent(self, event: QMouseEvent) -> None:  # noqa: N802
+    def mouseDoubleClickEvent(self, event: QMouseEvent) -> None:
         self._reset()
 
-    def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
+    def keyPressEvent(self, event: QKeyEvent) -> None:
         steps = {Qt.Key.Key_Left: -1, Qt.Key.Key_Down: -1, Qt.Key.Key_Right: 1, Qt.Key.Key_Up: 1}
         if event.key() in steps and not self.locked:
             self._move(self.value + steps[event.key()] * (self.inner[1] - self.inner[0]) / 50)

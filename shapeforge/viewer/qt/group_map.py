@@ -165,7 +165,7 @@ class GroupMap(QWidget):
 
     # -- painting --------------------------------------------------------------------------------------------------
 
-    def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802
+    def paintEvent(self, event: QPaintEvent) -> None:
         tokens = colours(self)
         painter = QPainter(self)
         painter.setRenderHints(QPainter.RenderHint.Antialiasing | QPainter.RenderHint.SmoothPixmapTransform)
@@ -299,7 +299,7 @@ class GroupMap(QWidget):
 
     # -- mouse and keys --------------------------------------------------------------------------------------------
 
-    def wheelEvent(self, event: QWheelEvent) -> None:  # noqa: N802
+    def wheelEvent(self, event: QWheelEvent) -> None:
         steps = event.angleDelta().y() / 120
         if (self.rows or not self.content.grouped) and not event.modifiers() & Qt.KeyboardModifier.ControlModifier:
             self._pan(QPointF(0, steps * 64))
@@ -322,14 +322,14 @@ class GroupMap(QWidget):
             self._offset.setY(min(8.0, max(self._offset.y(), self.height() - bottom)))
         self.update()
 
-    def mousePressEvent(self, event: QMouseEvent) -> None:  # noqa: N802
+    def mousePressEvent(self, event: QMouseEvent) -> None:
         self._press = self._last = event.position()
         self._moved = False
         lasso = self.lasso_always != bool(event.modifiers() & Qt.KeyboardModifier.ShiftModifier)
         if event.button() == Qt.MouseButton.LeftButton and lasso:
             self._lasso = [event.position()]
 
-    def mouseMoveEvent(self, event: QMouseEvent) -> None:  # noqa: N802
+    def mouseMoveEvent(self, event: QMouseEvent) -> None:
         at = event.position()
         if self._press is None:
             index = self._index_at(at)
@@ -346,7 +346,7 @@ class GroupMap(QWidget):
             self._pan(at - self._last)
         self._last = at
 
-    def mouseReleaseEvent(self, event: QMouseEvent) -> None:  # noqa: N802
+    def mouseReleaseEvent(self, event: QMouseEvent) -> None:
         press, self._press = self._press, None
         lasso, self._lasso = self._lasso, None
         if press is None:
@@ -363,12 +363,12 @@ class GroupMap(QWidget):
                 self.group_clicked.emit(self._group_at(event.position()))
         self.update()
 
-    def mouseDoubleClickEvent(self, event: QMouseEvent) -> None:  # noqa: N802
+    def mouseDoubleClickEvent(self, event: QMouseEvent) -> None:
         name = self.name_at(event.position())
         if name is not None:
             self.opened.emit(name)
 
-    def leaveEvent(self, event: QEvent) -> None:  # noqa: N802
+    def leaveEvent(self, event: QEvent) -> None:
         self._hover = None
         self.hovered.emit("")
         self.update()
@@ -380,7 +380,7 @@ class GroupMap(QWidget):
                 return g
         return -1
 
-    def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
+    def keyPressEvent(self, event: QKeyEvent) -> None:
         step = {Qt.Key.Key_Left: (-1, 0), Qt.Key.Key_Right: (1, 0), Qt.Key.Key_Up: (0, -1), Qt.Key.Key_Down: (0, 1)}
         if event.key() in step and len(self.place):
             self._go(np.array(step[event.key()], float))
@@ -412,7 +412,7 @@ class GroupMap(QWidget):
             return True
         return super().event(event)
 
-    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+    def resizeEvent(self, event: QResizeEvent) -> None:
         super().resizeEvent(event)
         if self.rows or not self.content.grouped:
             self._arrange()

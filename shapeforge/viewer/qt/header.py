@@ -61,7 +61,7 @@ class Search(QLineEdit):
         self.clear()
         self.clearFocus()
 
-    def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
+    def keyPressEvent(self, event: QKeyEvent) -> None:
         if event.key() == Qt.Key.Key_Escape:
             self.clear()
             self.clearFocus()

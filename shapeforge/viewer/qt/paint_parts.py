@@ -55,7 +55,7 @@ class ShareBar(QWidget):
         self._shares = list(shares)
         self.update()
 
-    def paintEvent(self, event: QEvent) -> None:  # noqa: N802
+    def paintEvent(self, event: QEvent) -> None:
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setPen(Qt.PenStyle.NoPen)
@@ -106,7 +106,7 @@ class PartRow(Clickable):
         self.setToolTip("Click to paint with it, Ctrl-click to select a second, double-click to rename")
         self.double_clicked.connect(self.rename)
 
-    def mouseReleaseEvent(self, event: object) -> None:  # noqa: N802
+    def mouseReleaseEvent(self, event: object) -> None:
         if QApplication.keyboardModifiers() & Qt.KeyboardModifier.ControlModifier:
             self.ctrl_clicked.emit()
         else:
@@ -152,7 +152,7 @@ class ToolButton(QAbstractButton):
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setAttribute(Qt.WidgetAttribute.WA_Hover)
 
-    def paintEvent(self, event: QEvent) -> None:  # noqa: N802
+    def paintEvent(self, event: QEvent) -> None:
         tokens = colours(self)
         painter = QPainter(self)
         painter.setRenderHints(QPainter.RenderHint.Antialiasing | QPainter.RenderHint.SmoothPixmapTransform)
@@ -205,7 +205,7 @@ class ToolColumn(QFrame):
             one.setChecked(name == tool)
         self.mirror.setChecked(mirror)
 
-    def paintEvent(self, event: QEvent) -> None:  # noqa: N802
+    def paintEvent(self, event: QEvent) -> None:
         painter = QPainter(self)
         painter.fillRect(self.rect(), QColor(colours(self)["panel"]))
         painter.fillRect(self.width() - 1, 0, 1, self.height(), QColor(colours(self)["separator"]))

@@ -138,7 +138,7 @@ class _Ring(Swatch):
     def __init__(self) -> None:
         super().__init__("#000000", size=12, disc=True)
 
-    def paintEvent(self, event: QEvent) -> None:  # noqa: N802
+    def paintEvent(self, event: QEvent) -> None:
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setPen(QPen(QColor(colours(self)["text"]), 1.8))

@@ -29,7 +29,7 @@ class PlaceButton(QAbstractButton):
         self._timer.setInterval(60)
         self._timer.timeout.connect(self._spin)
 
-    def sizeHint(self) -> QSize:  # noqa: N802
+    def sizeHint(self) -> QSize:
         return QSize(RAIL - 13, 60)
 
     def set_mark(self, mark: str) -> None:
@@ -45,7 +45,7 @@ class PlaceButton(QAbstractButton):
         self._turn = (self._turn + 20) % 360
         self.update()
 
-    def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802
+    def paintEvent(self, event: QPaintEvent) -> None:
         tokens = colours(self)
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)

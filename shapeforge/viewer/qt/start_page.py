@@ -82,15 +82,15 @@ class StartPage(QWidget):
         self.ways[name] = card
         return card
 
-    def dragEnterEvent(self, event: QDragEnterEvent) -> None:  # noqa: N802
+    def dragEnterEvent(self, event: QDragEnterEvent) -> None:
         if dropped_paths(event):
             event.acceptProposedAction()
             set_style(self.drop, "over", "true")
 
-    def dragLeaveEvent(self, event: QDragLeaveEvent) -> None:  # noqa: N802
+    def dragLeaveEvent(self, event: QDragLeaveEvent) -> None:
         set_style(self.drop, "over", "false")
 
-    def dropEvent(self, event: QDropEvent) -> None:  # noqa: N802
+    def dropEvent(self, event: QDropEvent) -> None:
         set_style(self.drop, "over", "false")
         take_drop(self._actions, dropped_paths(event))
 

@@ -63,10 +63,10 @@ class DirectionRow(QFrame):
         self.slider.set_value(value)
         self.value.setText("0" if abs(value) < 0.05 else f"{value:+.1f}".replace("-", "−"))
 
-    def enterEvent(self, event: QEvent) -> None:  # noqa: N802
+    def enterEvent(self, event: QEvent) -> None:
         self.entered.emit()
 
-    def leaveEvent(self, event: QEvent) -> None:  # noqa: N802
+    def leaveEvent(self, event: QEvent) -> None:
         self.left.emit()
 
 
@@ -110,7 +110,7 @@ class FamilyMap(QWidget):
         x, y = self._to_pixels(self.places)[index]
         return float(x), float(y)
 
-    def paintEvent(self, event: QEvent) -> None:  # noqa: N802
+    def paintEvent(self, event: QEvent) -> None:
         tokens = colours(self)
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
@@ -153,11 +153,11 @@ class FamilyMap(QWidget):
         away = np.linalg.norm(self._to_pixels(self.places) - here, axis=1)
         return int(away.argmin()) if away.min() < 14 else None
 
-    def mouseMoveEvent(self, event: QMouseEvent) -> None:  # noqa: N802
+    def mouseMoveEvent(self, event: QMouseEvent) -> None:
         index = self._at(event)
         self.setToolTip("" if index is None else self._names[index])
 
-    def mouseReleaseEvent(self, event: QMouseEvent) -> None:  # noqa: N802
+    def mouseReleaseEvent(self, event: QMouseEvent) -> None:
         index = self._at(event)
         if index is not None:
             self.chosen.emit(index)
