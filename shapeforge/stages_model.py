@@ -48,7 +48,8 @@ def fit(task: Task) -> Iterator[Progress]:
     if state is None:
         raise StageError("the fit made no round; wanted rounds of at least 1")
     yield task.progress("hierarchy", 0, 1, "linking the groups' templates", state=state)
-    hierarchy = link_templates(state.templates)
+    explained = np.bincount([one.template for one in state.beliefs], minlength=len(state.templates))
+    hierarchy = link_templates(state.templates, explained)
     write_record(folder / "hierarchy.zarr.zip", hierarchy)
     yield from write_shapes(task, folder, state, hierarchy)
     write_record(folder / "fit.zarr.zip", state)

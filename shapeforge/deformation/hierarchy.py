@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from shapeforge.collection.align import affine_align
+from shapeforge.collection.align import Alignment, affine_align
 from shapeforge.collection.shape import Shape
 from shapeforge.collection.surface import closest_points
 from shapeforge.deformation.beliefs import Beliefs
-from shapeforge.deformation.factors import FLOORS, Covariances, initial_covariances
+from shapeforge.deformation.factors import FLOORS, initial_covariances
 from shapeforge.deformation.templates import PartTemplates, pair_graph, template_from_points
 from shapeforge.deformation.updates import (
     Problem,
@@ -32,6 +32,9 @@ STARTS_PER_PART = 3
 """Groups whose template is tried as the start of a label."""
 
 ROUNDS = 8
+
+LEAST_POINTS = 12
+"""Points of a part on both sides from which its own affine start is found: what the labels tell, the start may use."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +54,11 @@ class Hierarchy:
     links: tuple[Link, ...]
 
 
-def link_templates(templates: Sequence[PartTemplates]) -> Hierarchy:
+def link_templates(templates: Sequence[PartTemplates], shapes: Sequence[int] | None = None) -> Hierarchy:
     """Link the groups' templates (all with the same part names) into one set of top-level templates.
 
-    Raises ValueError when there are none or their part names differ.
+    ``shapes[g]`` is the number of shapes that template set g explains: among starts, one that needs no link for many
+    shapes is worth more.  Raises ValueError when there are none or their part names differ.
     """
     if not templates:
         raise ValueError("templates: wanted at least one set, got none; fit the family first")
@@ -62,41 +66,77 @@ def link_templates(templates: Sequence[PartTemplates]) -> Hierarchy:
         raise ValueError("templates: wanted the same part names in every group, got different ones")
     number, n_parts = len(templates), templates[0].n_parts
     has = np.array([template.has_part() for template in templates])
-    sources = [_starts(templates, has, part) for part in range(n_parts)]
+    size = np.asarray([1] * number if shapes is None else shapes, np.float64)
+    sources = [_starts(templates, has, size, part) for part in range(n_parts)]
     wanted = sorted({a for tried in sources for a in tried})
     fits: dict[tuple[int, int], np.ndarray] = {}
     for a in wanted:
         for b in range(number):
             if a != b and (has[a] & has[b]).any():
                 fits[a, b] = register(templates[a], templates[b])
-    chosen = [_best_start(part, tried, templates, has, fits) for part, tried in enumerate(sources)]
+    chosen = [_best_start(part, tried, templates, has, size, fits) for part, tried in enumerate(sources)]
     return _assemble(templates, has, chosen, fits)
 
 
 def register(source: PartTemplates, target: PartTemplates) -> Float[np.ndarray, "K 3"]:
-    """``source``'s points (K, 3) deformed onto ``target``'s of the same part; parts it lacks only ride along."""
+    """``source``'s points (K, 3) deformed onto ``target``'s of the same part; parts it lacks only ride along.
+
+    The labels are known on both sides, so every part is fitted by itself, from the affine map of the whole and from
+    one of its own, and keeps the outcome that leaves the smaller gap.
+    """
     shared = source.has_part() & target.has_part()
     on_source, on_target = shared[source.label], shared[target.label]
     alignment = affine_align(source.points[on_source], target.points[on_target])
-    problem = Problem(
-        np.ascontiguousarray(target.points[on_target]), np.ascontiguousarray(target.normals[on_target]),
-        np.ascontiguousarray(target.descriptors[on_target]), np.zeros(on_target.sum() + 1, np.int64),
-        np.zeros(0, np.int32), target.label[on_target].astype(np.int32),
-    )  # fmt: skip
-    n_parts = source.n_parts
     deformed = alignment(source.points)
+    for part in np.flatnonzero(shared):
+        mine, theirs = _of_part(source, part), _of_part(target, part)
+        starts = [alignment]
+        if min(mine.n_points, theirs.n_points) >= LEAST_POINTS:
+            starts.append(affine_align(mine.points, theirs.points))
+        outcomes = [_settled(mine, theirs, start) for start in starts]
+        deformed[source.label == part] = min(outcomes, key=lambda points: _gap(points, theirs.points))
+    return deformed
+
+
+def _of_part(templates: PartTemplates, part: int) -> PartTemplates:
+    """The template of one part, as a family of one part."""
+    rows = np.flatnonzero(templates.label == part)
+    place = np.full(templates.n_points + 1, -1, np.int32)  # the last: neighbours that are none
+    place[rows] = np.arange(len(rows))
+    return replace(
+        templates, points=templates.points[rows], normals=templates.normals[rows], label=np.zeros(len(rows), np.int32),
+        component=templates.component[rows], neighbours=place[templates.neighbours[rows]],
+        descriptors=templates.descriptors[rows], part_names=templates.part_names[part : part + 1],
+    )  # fmt: skip
+
+
+def _settled(source: PartTemplates, target: PartTemplates, start: Alignment) -> Float[np.ndarray, "K 3"]:
+    """A part's points (K, 3) after the model's updates against another template of the part."""
+    problem = Problem(
+        np.ascontiguousarray(target.points), np.ascontiguousarray(target.normals),
+        np.ascontiguousarray(target.descriptors), np.zeros(target.n_points + 1, np.int64), np.zeros(0, np.int32),
+        target.label,
+    )  # fmt: skip
+    deformed = start(source.points)
     beliefs = Beliefs(
-        0, deformed, np.full_like(deformed, 1e-4), np.tile(alignment.matrix, (n_parts, 1, 1)),
-        np.tile(alignment.offset, (n_parts, 1)), np.eye(n_parts)[problem.evidence], shared, problem.evidence,
-        np.full(n_parts, np.nan),
+        0, deformed, np.full_like(deformed, 1e-4), start.matrix[None], start.offset[None],
+        np.ones((target.n_points, 1)), np.ones(1, bool), problem.evidence, np.full(1, np.nan),
     )  # fmt: skip
     graph = pair_graph(source.neighbours)
     wide = initial_covariances(source.descriptors.shape[1])
     for sigma in np.geomspace(0.05, 1.5 * FLOORS["unary"], ROUNDS):
         covariances = replace(wide, unary=np.full(3, sigma**2))
-        beliefs = _one_round(problem, source, graph, beliefs, covariances)
-    # parts that the target lacks follow the affine map: their place is only a place to draw them
-    return np.where(on_source[:, None], beliefs.deformed, deformed)
+        candidates = find_candidates(problem, source, beliefs, covariances.descriptor)
+        for _ in range(3):
+            correspondence = update_correspondences(problem, source, candidates, beliefs, covariances.unary)
+            beliefs = update_deformations(source, graph, correspondence, beliefs, covariances)
+        beliefs = update_maps(source, correspondence, beliefs)
+    return beliefs.deformed
+
+
+def _gap(a: np.ndarray, b: np.ndarray) -> float:
+    """Mean distance to the nearest point, both ways (diagonals)."""
+    return float(cKDTree(a).query(b)[0].mean() + cKDTree(b).query(a)[0].mean())
 
 
 def _one_round(problem, source, graph, beliefs: Beliefs, covariances: Covariances) -> Beliefs:
@@ -107,25 +147,26 @@ def _one_round(problem, source, graph, beliefs: Beliefs, covariances: Covariance
     return update_maps(source, correspondence, beliefs)
 
 
-def _starts(templates: Sequence[PartTemplates], has: np.ndarray, part: int) -> list[int]:
-    """Groups to try as the start of a part: those with the most parts, then the most points of this part."""
+def _starts(templates: Sequence[PartTemplates], has: np.ndarray, size: np.ndarray, part: int) -> list[int]:
+    """Groups to try as the start of a part: those that explain most shapes, then with the most points of this part."""
     owners = [g for g in range(len(templates)) if has[g, part]]
-    size = [int((templates[g].label == part).sum()) for g in range(len(templates))]
-    return sorted(owners, key=lambda g: (-int(has[g].sum()), -size[g], g))[:STARTS_PER_PART]
+    points = [int((templates[g].label == part).sum()) for g in range(len(templates))]
+    return sorted(owners, key=lambda g: (-size[g], -points[g], g))[:STARTS_PER_PART]
 
 
-def _best_start(part, tried, templates, has, fits) -> int:
-    """The start whose deformed part leaves the smallest gap (both ways) on the groups that have the part; -1: none."""
+def _best_start(part, tried, templates, has, size, fits) -> int:
+    """The start whose deformed part leaves the smallest gap on the shapes of groups that have the part; -1: none."""
     gaps = []
     for a in tried:
-        total = []
+        total, weight = 0.0, 0.0
         for b in range(len(templates)):
-            if b == a or not has[b, part]:
+            if not has[b, part]:
                 continue
-            mine = fits[a, b][templates[a].label == part]
-            theirs = templates[b].points[templates[b].label == part]
-            total.append(cKDTree(mine).query(theirs)[0].mean() + cKDTree(theirs).query(mine)[0].mean())
-        gaps.append(float(np.mean(total)) if total else 0.0)
+            weight += size[b]
+            if b != a:
+                mine = fits[a, b][templates[a].label == part]
+                total += size[b] * _gap(mine, templates[b].points[templates[b].label == part])
+        gaps.append(total / max(weight, 1e-12))
     return tried[int(np.argmin(gaps))] if tried else -1
 
 
