@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from shapeforge.collection import _kernels as kernels
+from shapeforge.collection import _kernels_near
 from shapeforge.collection.shape import Mesh
 
 CANDIDATES_PER_POINT = 3
@@ -68,6 +69,25 @@ def nearest_neighbours(points: Float[np.ndarray, "P 3"], k: int) -> Int[np.ndarr
     itself = index == np.arange(len(points))[:, None]
     itself[~itself.any(axis=1), -1] = True
     return index[~itself].reshape(len(points), k).astype(np.int32)
+
+
+def nearest_points(
+    points: Float[np.ndarray, "n 3"], queries: Float[np.ndarray, "Q 3"], k: int = 1
+) -> tuple[Int[np.ndarray, "Q k"], Float[np.ndarray, "Q k"]]:
+    """The ``k`` of ``points`` nearest to every query, in no order, and their distances; fewer columns where n < k.
+
+    Raises FloatingPointError where a coordinate is not finite.
+    """
+    k = min(k, len(points))
+    index, squared = np.empty((len(queries), k), np.int32), np.empty((len(queries), k))
+    if k == 0 or len(queries) == 0:
+        return index, squared
+    points, queries = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(queries, np.float64)
+    if not (np.isfinite(points).all() and np.isfinite(queries).all()):
+        raise FloatingPointError("points: wanted finite coordinates, got NaN or infinity")
+    # far queries look through many cells: small ones, as a single neighbour would ask for, do not pay
+    _kernels_near.nearest_k(points, queries, k, _kernels_near.cell_size(points, max(k, 16)), index, squared)
+    return index, np.sqrt(squared)
 
 
 def neighbour_pairs(neighbours: Int[np.ndarray, "P n"]) -> tuple[Int[np.ndarray, " E"], Int[np.ndarray, " E"]]:

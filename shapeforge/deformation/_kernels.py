@@ -9,110 +9,46 @@ _FAST = {"cache": True, "nogil": True}
 
 
 @njit(**_FAST)
-def merge_candidates(by_point, by_template, n_points):
-    """CSR over points of the union of (p -> k) rows and (k -> p) rows; entries < 0 are skipped.
-
-    ``by_point`` (P, a) template points near each point, ``by_template`` (K, b) points near each template point.
-    Returns offsets (P+1,), template indices (M,), sorted within each row.
-    """
-    counts = np.zeros(n_points + 1, np.int64)
-    for p in range(by_point.shape[0]):
-        for j in range(by_point.shape[1]):
-            if by_point[p, j] >= 0:
-                counts[p + 1] += 1
-    for k in range(by_template.shape[0]):
-        for j in range(by_template.shape[1]):
-            if by_template[k, j] >= 0:
-                counts[by_template[k, j] + 1] += 1
-    offsets = np.cumsum(counts)
-    fill = offsets[:-1].copy()
-    raw = np.empty(offsets[-1], np.int32)
-    for p in range(by_point.shape[0]):
-        for j in range(by_point.shape[1]):
-            if by_point[p, j] >= 0:
-                raw[fill[p]] = by_point[p, j]
-                fill[p] += 1
-    for k in range(by_template.shape[0]):
-        for j in range(by_template.shape[1]):
-            p = by_template[k, j]
-            if p >= 0:
-                raw[fill[p]] = k
-                fill[p] += 1
-    out_offsets = np.zeros(n_points + 1, np.int64)
-    used = 0
-    for p in range(n_points):
-        row = np.sort(raw[offsets[p] : offsets[p + 1]])
-        previous = -1
-        for k in row:
-            if k != previous:
-                raw[used] = k  # used never overtakes the row being read
-                used += 1
-                previous = k
-        out_offsets[p + 1] = used
-    return out_offsets, raw[:used].copy()
-
-
-@njit(**_FAST)
-def descriptor_costs(
-    offsets, template_index, point_descriptors, template_descriptors, precision, point_normals, template_normals,
-    normal_weight, out,
-):  # fmt: skip
-    """φ3 of every pair: ``out[c] = ½ (f_k - f_p)ᵀ precision (f_k - f_p) + normal_weight (1 - |n_k·n_p|)``."""
-    for p in range(offsets.shape[0] - 1):
-        for c in range(offsets[p], offsets[p + 1]):
-            k = template_index[c]
-            total = 0.0
-            for d in range(precision.shape[0]):
-                difference = template_descriptors[k, d] - point_descriptors[p, d]
-                total += precision[d] * difference * difference
-            cosine = 0.0
-            for axis in range(3):
-                cosine += point_normals[p, axis] * template_normals[k, axis]
-            out[c] = 0.5 * total + normal_weight * (1.0 - abs(cosine))
-
-
-@njit(**_FAST)
 def correspond(
-    offsets, template_index, costs, points, deformed, half_trace, precision, label, segmentation, log_epsilon, weight,
+    offsets, template_index, costs, points, deformed, half_trace, precision, label, segmentation, log_epsilon,
     q, part_share, mass, first_moment,
 ):  # fmt: skip
-    """Correspondence update (supplement, q[p,k]); fills q (M,), part_share (P,L), mass (K,), first_moment (K,3).
-
-    ``weight`` (P,) scales what a point contributes to the sums (a sample's share of the surface).
-    """
+    """Correspondence update (supplement, q[p,k]); fills q (M,), part_share (P,L), mass (K,), first_moment (K,3)."""
     mass[:] = 0.0
     first_moment[:] = 0.0
     part_share[:] = 0.0
+    wx, wy, wz = 0.5 * precision[0], 0.5 * precision[1], 0.5 * precision[2]
     for p in range(offsets.shape[0] - 1):
         begin, end = offsets[p], offsets[p + 1]
         if begin == end:
             continue
+        x, y, z = points[p, 0], points[p, 1], points[p, 2]
         best = -np.inf
         for c in range(begin, end):
             k = template_index[c]
-            dx = deformed[k, 0] - points[p, 0]
-            dy = deformed[k, 1] - points[p, 1]
-            dz = deformed[k, 2] - points[p, 2]
-            logit = -0.5 * (precision[0] * dx * dx + precision[1] * dy * dy + precision[2] * dz * dz)
-            logit += -half_trace[k] - costs[c] + log_epsilon * (1.0 - segmentation[p, label[k]])
+            dx, dy, dz = deformed[k, 0] - x, deformed[k, 1] - y, deformed[k, 2] - z
+            logit = log_epsilon * (1.0 - segmentation[p, label[k]]) - (wx * dx * dx + wy * dy * dy + wz * dz * dz)
+            logit -= half_trace[k] + costs[c]
             q[c] = logit
-            if logit > best:
-                best = logit
+            best = max(best, logit)
         total = 0.0
         for c in range(begin, end):
-            value = np.exp(q[c] - best)
+            # below e^-32 of the largest a pair carries nothing; written so that what is no number stays none
+            value = 0.0 if q[c] - best < -32.0 else np.exp(q[c] - best)
             q[c] = value
             total += value
+        scale = 1.0 / total
         for c in range(begin, end):
-            value = q[c] / total
+            if q[c] == 0.0:
+                continue
+            value = q[c] * scale
             q[c] = value
             k = template_index[c]
             part_share[p, label[k]] += value
-            value *= weight[p]
             mass[k] += value
-            first_moment[k, 0] += value * points[p, 0]
-            first_moment[k, 1] += value * points[p, 1]
-            first_moment[k, 2] += value * points[p, 2]
+            first_moment[k, 0] += value * x
+            first_moment[k, 1] += value * y
+            first_moment[k, 2] += value * z
 
 
 @njit(**_FAST)
@@ -146,35 +82,47 @@ def segment(part_share, offsets, neighbour, attraction, log_epsilon, active, evi
 
 
 @njit(**_FAST)
-def deform(mass, first_moment, mapped, offsets, neighbour, unary_precision, smooth_precision, sweeps, deformed):
-    """Deformation update (supplement, ⟨D⟩), Gauss-Seidel sweeps; ``mapped`` (K,3) is A[part]·Y.  Returns movement."""
-    n_template = deformed.shape[0]
-    pull = np.empty((n_template, 3))
-    for k in range(n_template):
+def deform(weight, pull, mapped, offsets, neighbour, smooth_precision, sweeps, deformed):
+    """Deformation update (supplement, ⟨D⟩), Gauss-Seidel sweeps over ``deformed`` (K,3).
+
+    ``weight`` (K,3) and ``pull`` (K,3) are the precision and the precision times the mean of what draws each point
+    (φ1, and a prior); ``mapped`` (K,3) is A[part]·Y.
+    """
+    n = deformed.shape[0]
+    right, inverse = np.empty((n, 3)), np.empty((n, 3))
+    sx, sy, sz = smooth_precision[0], smooth_precision[1], smooth_precision[2]
+    for k in range(n):
+        x = y = z = 0.0
+        for c in range(offsets[k], offsets[k + 1]):
+            other = neighbour[c]
+            x += mapped[other, 0]
+            y += mapped[other, 1]
+            z += mapped[other, 2]
+        degree = offsets[k + 1] - offsets[k]
+        right[k, 0] = pull[k, 0] + sx * (degree * mapped[k, 0] - x)
+        right[k, 1] = pull[k, 1] + sy * (degree * mapped[k, 1] - y)
+        right[k, 2] = pull[k, 2] + sz * (degree * mapped[k, 2] - z)
         for axis in range(3):
-            total = unary_precision[axis] * first_moment[k, axis]
-            for c in range(offsets[k], offsets[k + 1]):
-                total += smooth_precision[axis] * (mapped[k, axis] - mapped[neighbour[c], axis])
-            pull[k, axis] = total
-    moved = 0.0
+            precision = weight[k, axis] + smooth_precision[axis] * degree
+            inverse[k, axis] = 1.0 / precision if precision > 0.0 else 0.0
+            if degree == 0 and precision > 0.0:
+                deformed[k, axis] = right[k, axis] / precision
     for sweep in range(sweeps):
-        moved = 0.0
-        for step in range(n_template):
+        for step in range(n):
             # alternate the direction of the sweep: information travels both ways along the numbering
-            k = step if sweep % 2 == 0 else n_template - 1 - step
-            degree = offsets[k + 1] - offsets[k]
-            squared = 0.0
-            for axis in range(3):
-                total = pull[k, axis]
-                for c in range(offsets[k], offsets[k + 1]):
-                    total += smooth_precision[axis] * deformed[neighbour[c], axis]
-                precision = unary_precision[axis] * mass[k] + smooth_precision[axis] * degree
-                if precision > 0.0:
-                    value = total / precision
-                    squared += (value - deformed[k, axis]) ** 2
-                    deformed[k, axis] = value
-            moved += np.sqrt(squared)
-    return moved / max(n_template, 1)
+            k = step if sweep % 2 == 0 else n - 1 - step
+            begin, end = offsets[k], offsets[k + 1]
+            if begin == end:
+                continue
+            x = y = z = 0.0
+            for c in range(begin, end):
+                other = neighbour[c]
+                x += deformed[other, 0]
+                y += deformed[other, 1]
+                z += deformed[other, 2]
+            deformed[k, 0] = (right[k, 0] + sx * x) * inverse[k, 0]
+            deformed[k, 1] = (right[k, 1] + sy * y) * inverse[k, 1]
+            deformed[k, 2] = (right[k, 2] + sz * z) * inverse[k, 2]
 
 
 @njit(**_FAST)
@@ -236,24 +184,31 @@ def explained_without(offsets, template_index, costs, points, deformed, precisio
     favourite = np.full(n_points, -1, np.int32)
     loss = np.zeros(n_points)
     density = np.full((n_points, n_parts), -np.inf)
+    longest = 0
+    for p in range(n_points):
+        longest = max(longest, offsets[p + 1] - offsets[p])
+    logits, top, sums = np.empty(longest), np.empty(n_parts), np.empty(n_parts)
     for p in range(n_points):
         begin, end = offsets[p], offsets[p + 1]
         best = -np.inf
+        top[:] = -np.inf
+        sums[:] = 0.0
         for c in range(begin, end):
             k = template_index[c]
             squared = 0.0
             for axis in range(3):
                 difference = deformed[k, axis] - points[p, axis]
                 squared += precision[axis] * difference * difference
-            logit = -0.5 * squared - costs[c]
-            part = label[k]
-            # streaming log-sum-exp
-            if density[p, part] == -np.inf:
-                density[p, part] = logit
-            elif logit > density[p, part]:
-                density[p, part] = logit + np.log1p(np.exp(density[p, part] - logit))
-            else:
-                density[p, part] += np.log1p(np.exp(logit - density[p, part]))
+            logits[c - begin] = -0.5 * squared - costs[c]
+            top[label[k]] = max(top[label[k]], logits[c - begin])
+        for c in range(begin, end):
+            part = label[template_index[c]]
+            below = logits[c - begin] - top[part]
+            if not below < -32.0:
+                sums[part] += np.exp(below)
+        for part in range(n_parts):
+            if top[part] > -np.inf:
+                density[p, part] = top[part] + np.log(sums[part])
         for part in range(n_parts):
             if density[p, part] > best:
                 best = density[p, part]
@@ -275,14 +230,22 @@ def pair_attraction(offsets, neighbour, descriptors, precision, low, high):
     """logit Φ (M,) of every neighbour pair, Φ = exp(-½ mean over the descriptor's entries), clamped to [low, high]."""
     out = np.empty(neighbour.shape[0])
     n_descriptor = descriptors.shape[1]
+    least, most = -np.log(high), -np.log(low)
+    most_attraction, least_attraction = np.log(high / (1.0 - high)), np.log(low / (1.0 - low))
     for p in range(offsets.shape[0] - 1):
         for c in range(offsets[p], offsets[p + 1]):
             total = 0.0
             for d in range(n_descriptor):
                 difference = descriptors[p, d] - descriptors[neighbour[c], d]
                 total += precision[d] * difference * difference
-            phi = min(max(np.exp(-0.5 * total / n_descriptor), low), high)
-            out[c] = np.log(phi / (1.0 - phi))
+            cost = 0.5 * total / n_descriptor
+            if cost <= least:
+                out[c] = most_attraction
+            elif cost >= most:
+                out[c] = least_attraction
+            else:
+                phi = np.exp(-cost)
+                out[c] = np.log(phi / (1.0 - phi))
     return out
 
 
@@ -306,7 +269,7 @@ def energy_of_correspondence(
     total = 0.0
     for p in range(offsets.shape[0] - 1):
         for c in range(offsets[p], offsets[p + 1]):
-            if q[c] <= 0.0:
+            if q[c] < 1e-13:
                 continue
             k = template_index[c]
             cost = costs[c] - log_epsilon * (1.0 - segmentation[p, label[k]]) + np.log(q[c])

@@ -15,10 +15,10 @@ from operator import add
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 
 from shapeforge.collection.align import affine_align, thinned
 from shapeforge.collection.groups import Groups
+from shapeforge.collection.points import nearest_points
 from shapeforge.collection.shape import Shape, Shapes
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.energy import free_energy
@@ -31,6 +31,7 @@ from shapeforge.deformation.updates import (
     GaussianOnDeformation,
     Problem,
     Summary,
+    candidates_without,
     find_candidates,
     make_problem,
     mapped_normals,
@@ -242,13 +243,17 @@ def _work_on_shape(
     """One outer round on one shape: all its candidates, then their weights. A pure function of its arguments."""
     problem = make_problem(shape, faces)
     prevalence = part_prevalence(templates)
+    pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)
     done, sums, moves = [], [], []
     for candidate in candidates:
         g = candidate.beliefs.template
         prior = priors.get(g) if priors is not None else None
-        beliefs, summary = fit_shape(
-            problem, templates[g], candidate.beliefs, covariances, prevalence, inner=inner, prior=prior
-        )
+        try:
+            beliefs, summary = fit_shape(
+                problem, templates[g], candidate.beliefs, covariances, prevalence, inner=inner, prior=prior, pull=pull
+            )
+        except FloatingPointError as error:
+            raise FloatingPointError(shape.name) from error
         if not np.isfinite([beliefs.deformed.sum(), beliefs.maps.sum(), summary.energy]).all():
             raise FloatingPointError(shape.name)
         moves.append(float(np.linalg.norm(beliefs.deformed - candidate.beliefs.deformed, axis=1).mean()))
@@ -268,25 +273,32 @@ def fit_shape(
     *,
     inner: int = 3,
     prior: tuple[np.ndarray, np.ndarray] | None = None,
+    pull: np.ndarray | None = None,
 ) -> tuple[Beliefs, Summary]:
-    """One outer round of one template set on one shape: q, s, D ``inner`` times, then existence and the part maps."""
-    graph = pair_graph(templates.neighbours)
-    pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)
+    """One outer round of one template set on one shape: q, s, D ``inner`` times, then existence and the part maps.
 
-    def settle(beliefs: Beliefs, times: int) -> tuple[Beliefs, Candidates, Correspondence]:
-        candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
+    ``pull`` is φ5's logit Φ per neighbour pair if it is at hand: it is the same for every template set.
+    """
+    graph = pair_graph(templates.neighbours)
+    if pull is None:
+        pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)
+
+    def settle(beliefs: Beliefs, candidates: Candidates, times: int) -> tuple[Beliefs, Correspondence]:
         for _ in range(times):
             correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
             beliefs = update_segmentation(problem, correspondence, beliefs, pull)
             beliefs = update_deformations(templates, graph, correspondence, beliefs, covariances, prior)
-        return beliefs, candidates, correspondence
+        return beliefs, correspondence
 
-    beliefs, candidates, correspondence = settle(beliefs, inner)
+    def refit(trial: Beliefs) -> tuple[Beliefs, Candidates]:
+        left = candidates_without(problem, templates, candidates, trial, covariances.descriptor)
+        return settle(trial, left, 2)[0], left
+
+    candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
+    beliefs, correspondence = settle(beliefs, candidates, inner)
     energy = free_energy(problem, templates, graph, candidates, correspondence, beliefs, covariances, pull)
     summary = summarize(problem, templates, graph, candidates, correspondence, beliefs, energy)
-    beliefs = switch_off_missing(
-        problem, templates, candidates, beliefs, covariances.unary, prevalence, lambda trial: settle(trial, 2)[:2]
-    )
+    beliefs = switch_off_missing(problem, templates, candidates, beliefs, covariances.unary, prevalence, refit)
     return update_maps(templates, correspondence, beliefs), summary
 
 
@@ -302,8 +314,8 @@ def weigh(problem: Problem, templates: Sequence[PartTemplates], beliefs: Sequenc
     for belief in beliefs:
         template = templates[belief.template]
         alive = np.flatnonzero(belief.active[template.label])
-        distance, nearest = cKDTree(belief.deformed[alive]).query(points)
-        back = cKDTree(points).query(thinned(belief.deformed[alive], 1500))[0]
+        nearest, distance = (found[:, 0] for found in nearest_points(belief.deformed[alive], points))
+        back = nearest_points(points, thinned(belief.deformed[alive], 1500))[1]
         cosine = np.abs((mapped_normals(template, belief)[alive[nearest]] * normals).sum(axis=1))
         misfits.append(float((distance.mean() + back.mean()) / GAP_SCALE + (1.0 - cosine.mean()) / TURN_SCALE))
     least = min(misfits)

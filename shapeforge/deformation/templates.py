@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from shapeforge.collection.shape import Shape
+from shapeforge.deformation import _kernels_pairs
 
 NEIGHBOURS = 20
 
@@ -113,9 +114,5 @@ def pair_graph(neighbours: Int[np.ndarray, "N n"]) -> tuple[np.ndarray, np.ndarr
     One-sided lists make the sums of φ2 and φ5 count some pairs once and others twice, and then the coordinate updates
     no longer descend on the energy they claim to descend on.
     """
-    n = len(neighbours)
-    rows, columns = np.nonzero(neighbours >= 0)
-    graph = coo_matrix((np.ones(len(rows), np.int8), (rows, neighbours[rows, columns])), shape=(n, n)).tocsr()
-    both = ((graph + graph.T) > 0).tocsr()
-    both.sort_indices()
-    return both.indptr.astype(np.int64), both.indices.astype(np.int32)
+    listed = np.ascontiguousarray(neighbours, np.int32)
+    return _kernels_pairs.merge_pairs(listed, listed, len(listed))

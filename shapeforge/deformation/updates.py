@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
 
+from shapeforge.collection.points import nearest_points
 from shapeforge.collection.shape import Shape
-from shapeforge.deformation import _kernels
+from shapeforge.deformation import _kernels, _kernels_pairs
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.factors import DESCRIPTOR_WEIGHT, LOG_EPSILON, NORMAL_WEIGHT, Covariances
 from shapeforge.deformation.templates import PartTemplates, pair_graph
@@ -38,6 +39,11 @@ class Problem:
     offsets: Int[np.ndarray, " P1"]
     neighbour: Int[np.ndarray, " M"]
     evidence: Int[np.ndarray, " P"]
+
+    @cached_property
+    def pair_squares(self) -> Float[np.ndarray, " d"]:
+        """Squared descriptor differences summed over the neighbour pairs, both directions (d,): for Σ5."""
+        return _kernels.pair_squares(self.offsets, self.neighbour, self.descriptors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,17 +84,41 @@ def find_candidates(
 
     Only template points of active parts take part.  The normals of the template are carried along by its part maps.
     """
-    deformed = beliefs.deformed
     rows = np.flatnonzero(beliefs.active[templates.label]).astype(np.int32)
-    a = min(POINT_CANDIDATES, len(rows))
-    b = min(TEMPLATE_CANDIDATES, len(problem.points))
-    by_point = cKDTree(deformed[rows]).query(problem.points, k=a)[1].reshape(-1, a)
-    by_template = np.full((len(deformed), b), -1, np.int32)
-    by_template[rows] = cKDTree(problem.points).query(deformed[rows], k=b)[1].reshape(-1, b)
-    offsets, index = _kernels.merge_candidates(rows[by_point].astype(np.int32), by_template, len(problem.points))
+    by_point = nearest_points(beliefs.deformed[rows], problem.points, POINT_CANDIDATES)[0]
+    found = nearest_points(problem.points, beliefs.deformed[rows], TEMPLATE_CANDIDATES)[0]
+    by_template = np.full((templates.n_points, found.shape[1]), -1, np.int32)
+    by_template[rows] = found
+    pairs = _kernels_pairs.merge_pairs(rows[by_point], by_template, len(problem.points))
+    return _priced(problem, templates, beliefs, descriptor, *pairs)
+
+
+def candidates_without(
+    problem: Problem,
+    templates: PartTemplates,
+    candidates: Candidates,
+    beliefs: Beliefs,
+    descriptor: Float[np.ndarray, " d"],
+) -> Candidates:
+    """Candidates found for more parts than are active now: without those that are not.
+
+    Only samples that lost a candidate look for their nearest template points again.
+    """
+    alive = beliefs.active[templates.label]
+    lost = np.add.reduceat(np.append(~alive[candidates.template_index], False), candidates.offsets[:-1])
+    affected = np.flatnonzero((lost > 0) & (np.diff(candidates.offsets) > 0))
+    rows = np.flatnonzero(alive).astype(np.int32)
+    nearest = rows[nearest_points(beliefs.deformed[rows], problem.points[affected], POINT_CANDIDATES)[0]]
+    pairs = _kernels_pairs.refilled_pairs(candidates.offsets, candidates.template_index, alive, affected, nearest)
+    return _priced(problem, templates, beliefs, descriptor, *pairs)
+
+
+def _priced(problem, templates, beliefs, descriptor, offsets: np.ndarray, index: np.ndarray) -> Candidates:
+    """The pairs with φ3's cost of each."""
+    scale = np.sqrt(0.5 * DESCRIPTOR_WEIGHT / descriptor)
     costs = np.empty(len(index))
-    _kernels.descriptor_costs(
-        offsets, index, problem.descriptors, templates.descriptors, DESCRIPTOR_WEIGHT / descriptor, problem.normals,
+    _kernels_pairs.pair_costs(
+        offsets, index, problem.descriptors * scale, templates.descriptors * scale, problem.normals,
         mapped_normals(templates, beliefs), NORMAL_WEIGHT, costs,
     )  # fmt: skip
     return Candidates(offsets, index, costs)
@@ -113,7 +143,7 @@ def update_correspondences(
     _kernels.correspond(
         candidates.offsets, candidates.template_index, candidates.costs, problem.points, beliefs.deformed,
         0.5 * beliefs.variance @ precision, precision, templates.label, beliefs.segmentation, LOG_EPSILON,
-        np.ones(n_points), q, share, mass, moment,
+        q, share, mass, moment,
     )  # fmt: skip
     return Correspondence(q, share, mass, moment)
 
@@ -153,28 +183,13 @@ def update_deformations(
     """
     offsets, neighbour = graph
     unary, smooth = 1.0 / covariances.unary, 1.0 / covariances.smooth
-    mass, moment = correspondence.mass, correspondence.first_moment
-    deformed = beliefs.deformed.copy()
-    degree = np.diff(offsets)
-    if prior is None:
-        precision = mass[:, None] * unary + degree[:, None] * smooth
-        _kernels.deform(
-            mass, moment, mapped_template(templates, beliefs), offsets, neighbour, unary, smooth, sweeps, deformed
-        )
-    else:
-        # a Gaussian prior is one more observation of each template point, axis by axis
+    weight, pull = correspondence.mass[:, None] * unary, correspondence.first_moment * unary
+    if prior is not None:  # one more observation of each template point, axis by axis
         mean, strength = prior
-        precision = mass[:, None] * unary + degree[:, None] * smooth + strength
-        ones = np.ones(3)
-        for axis in range(3):
-            weight = mass * unary[axis] + strength[:, axis]
-            pull = np.zeros((len(mass), 3))
-            pull[:, axis] = moment[:, axis] * unary[axis] + strength[:, axis] * mean[:, axis]
-            column = deformed.copy()
-            _kernels.deform(
-                weight, pull, mapped_template(templates, beliefs), offsets, neighbour, ones, smooth, sweeps, column
-            )
-            deformed[:, axis] = column[:, axis]
+        weight, pull = weight + strength, pull + strength * mean
+    deformed = beliefs.deformed.copy()
+    _kernels.deform(weight, pull, mapped_template(templates, beliefs), offsets, neighbour, smooth, sweeps, deformed)
+    precision = weight + np.diff(offsets)[:, None] * smooth
     variance = 1.0 / np.maximum(precision, 1e-12)
     return replace(beliefs, deformed=deformed, variance=variance)
 
@@ -235,7 +250,6 @@ def summarize(
         problem.descriptors, templates.descriptors, templates.label, templates.n_parts,
     )  # fmt: skip
     smooth, pairs = _kernels.smoothness_sums(*graph, beliefs.deformed, mapped_template(templates, beliefs), alive)
-    segment = _kernels.pair_squares(problem.offsets, problem.neighbour, problem.descriptors)
     normal = np.zeros((templates.n_parts, 3, 3))
     moment = np.zeros((templates.n_points, 3))
     for part in np.flatnonzero(beliefs.active):
@@ -248,7 +262,7 @@ def summarize(
         moment[rows] = centred @ a
     return Summary(
         float(weight), unary, descriptor, by_part, int(pairs), smooth, len(problem.neighbour),
-        segment, normal, moment, float(energy), len(problem.points),
+        problem.pair_squares, normal, moment, float(energy), len(problem.points),
     )  # fmt: skip
 
 

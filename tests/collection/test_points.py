@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from shapeforge.collection.points import nearest_neighbours, neighbour_pairs, sample_points
+from shapeforge.collection.points import nearest_neighbours, nearest_points, neighbour_pairs, sample_points
 from shapeforge.collection.shape import Mesh
 from tests.collection.solids import as_mesh, box, joined, stool
 
@@ -112,3 +112,23 @@ def test_neighbours_are_the_nearest_and_never_the_point_itself(n, k, seed):
 def test_pairs_name_each_edge_once():
     pairs = set(zip(*(x.tolist() for x in neighbour_pairs(np.array([[1, 2], [0, 2], [0, 3], [2, 1]]))), strict=True))
     assert pairs == {(0, 1), (0, 2), (1, 2), (2, 3), (1, 3)}
+
+
+@given(st.integers(1, 80), st.integers(1, 50), st.integers(1, 45), st.floats(0, 30), st.integers(0, 2**32 - 1))
+@settings(deadline=None)
+def test_the_nearest_points_of_near_and_far_queries(n, n_queries, k, far, seed):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(n, 3)) * rng.choice([0.0, 1e-3, 1.0], size=3)
+    points[rng.random(n) < 0.3] = points[0]
+    queries = points[rng.integers(0, n, n_queries)] + far * rng.normal(size=(n_queries, 3))
+    index, distance = nearest_points(points, queries, k)
+    assert index.shape == distance.shape == (n_queries, min(k, n))
+    assert all(len(set(row)) == len(row) for row in index)
+    np.testing.assert_allclose(distance, np.linalg.norm(points[index] - queries[:, None], axis=2))
+    wanted = cKDTree(points).query(queries, k=range(1, min(k, n) + 1))[0]
+    np.testing.assert_allclose(np.sort(distance, axis=1), wanted, rtol=1e-9, atol=1e-12)
+
+
+def test_nearest_points_refuse_what_is_not_finite():
+    with pytest.raises(FloatingPointError, match="finite"):
+        nearest_points(np.zeros((3, 3)), np.array([[0.0, np.nan, 0.0]]))

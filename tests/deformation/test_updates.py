@@ -18,7 +18,10 @@ from shapeforge.deformation.factors import (
 )
 from shapeforge.deformation.templates import pair_graph, template_from_points
 from shapeforge.deformation.updates import (
+    POINT_CANDIDATES,
+    TEMPLATE_CANDIDATES,
     Problem,
+    candidates_without,
     find_candidates,
     mapped_normals,
     mapped_template,
@@ -194,3 +197,68 @@ def test_part_maps_recover_an_affine_change_of_each_part():
         beliefs = update_maps(templates, correspondence, beliefs)
     for part in range(N_PARTS):
         np.testing.assert_allclose(beliefs.maps[part], truth, atol=0.02)
+
+
+def test_sparse_updates_equal_dense_ones_when_every_pair_is_kept(monkeypatch):
+    """Dropping no pair, correspondence over lists of pairs is the full P x K softmax."""
+    problem, templates, beliefs, covariances = toy(8)
+    monkeypatch.setattr("shapeforge.deformation.updates.POINT_CANDIDATES", templates.n_points)
+    candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
+    got = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
+    apart = beliefs.deformed[None] - problem.points[:, None]
+    logit = -0.5 * (apart**2 + beliefs.variance) @ (1 / covariances.unary)
+    differs = templates.descriptors[None] - problem.descriptors[:, None]
+    logit -= 0.5 * differs**2 @ (DESCRIPTOR_WEIGHT / covariances.descriptor)
+    logit -= NORMAL_WEIGHT * (1 - np.abs(problem.normals @ mapped_normals(templates, beliefs).T))
+    logit += LOG_EPSILON * (1 - beliefs.segmentation[:, templates.label])
+    wanted = np.exp(logit - logit.max(axis=1, keepdims=True))
+    wanted /= wanted.sum(axis=1, keepdims=True)
+    np.testing.assert_allclose(got.q.reshape(wanted.shape), wanted, atol=1e-12)
+    np.testing.assert_allclose(got.mass, wanted.sum(axis=0), atol=1e-11)
+    np.testing.assert_allclose(got.first_moment, wanted.T @ problem.points, atol=1e-11)
+
+
+def test_candidates_are_the_nearest_both_ways():
+    problem, templates, beliefs, covariances = toy(9, n_points=400, n_template=300)
+    candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
+    pairs = np.zeros((400, 300), bool)
+    pairs[np.repeat(np.arange(400), np.diff(candidates.offsets)), candidates.template_index] = True
+    distance = np.linalg.norm(problem.points[:, None] - beliefs.deformed[None], axis=2)
+    by_point = distance <= np.sort(distance, axis=1)[:, POINT_CANDIDATES - 1 : POINT_CANDIDATES]
+    by_template = distance <= np.sort(distance, axis=0)[TEMPLATE_CANDIDATES - 1]
+    assert (pairs == (by_point | by_template)).all()
+
+
+def test_candidates_of_a_trial_lose_the_part_and_samples_that_lost_some_look_again():
+    problem, templates, beliefs, covariances = toy(10, n_points=400, n_template=300)
+    before = find_candidates(problem, templates, beliefs, covariances.descriptor)
+    beliefs = replace(beliefs, active=np.array([True, False, True]))
+    got = candidates_without(problem, templates, before, beliefs, covariances.descriptor)
+    fresh = find_candidates(problem, templates, beliefs, covariances.descriptor)
+    alive = templates.label != 1
+    costs = {}
+    for p, (old, new, afresh) in enumerate(
+        zip(*(np.split(c.template_index, c.offsets[1:-1]) for c in (before, got, fresh)), strict=True)
+    ):
+        assert (np.diff(new) > 0).all() and alive[new].all()
+        assert set(old[alive[old]]) <= set(new) <= set(afresh) | set(old)
+        nearest = np.argsort(np.linalg.norm(problem.points[p] - beliefs.deformed, axis=1) + 9.0 * ~alive)
+        if not alive[old].all():
+            assert set(nearest[:POINT_CANDIDATES]) <= set(new)
+        costs |= {(p, k): cost for k, cost in zip(afresh, fresh.costs[slice(*fresh.offsets[p : p + 2])], strict=True)}
+    for p in range(400):
+        for c in range(got.offsets[p], got.offsets[p + 1]):
+            wanted = costs.get((p, got.template_index[c]))
+            assert wanted is None or np.isclose(got.costs[c], wanted, atol=1e-10)
+
+
+def test_pairs_of_neighbours_are_symmetric_and_none_is_there_twice():
+    rng = np.random.default_rng(3)
+    neighbours = rng.integers(-1, 40, size=(40, 6)).astype(np.int32)
+    offsets, index = pair_graph(neighbours)
+    wanted = np.zeros((40, 40), bool)
+    for p, row in enumerate(neighbours):
+        for other in row[row >= 0]:
+            wanted[p, other] = wanted[other, p] = True
+    for p in range(40):
+        assert (index[offsets[p] : offsets[p + 1]] == np.flatnonzero(wanted[p])).all()
