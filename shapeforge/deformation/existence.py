@@ -1,9 +1,10 @@
 """Which parts does a shape have?  (§4, deactivation; E in the paper.)
 
 The printed rule (label probability below 1e-3 at every sample) almost never switches a missing part off, because the
-part's template settles on some other surface and claims it.  Here a part must *pay for itself*: it is taken away on
-trial, the other parts may spread over what it claimed, and only if they explain that surface about as well was the
-part never there.  A part that merely looks different leaves surface behind that nobody else reaches.
+part's template settles on some other surface and claims it.  Here several signs are weighed.  A part that is there has
+its template points on the surface, each with its share of it, facing the same way; a ghost hangs in the air or crowds
+on a neighbour.  And a part must *pay for itself*: it is taken away on trial, the other parts may spread over what it
+claimed, and a part that merely looks different leaves surface behind that nobody else reaches.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from shapeforge.collection.points import nearest_points
 from shapeforge.deformation import _kernels
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.templates import PartTemplates
-from shapeforge.deformation.updates import Candidates, Problem
+from shapeforge.deformation.updates import Candidates, Correspondence, Problem, mapped_normals
 
 SHARPNESS = 0.0165
 """σ1 (diagonals) below which the question may be asked: earlier, thin parts still look dispensable."""
@@ -25,12 +27,18 @@ SHARPNESS = 0.0165
 LOSS_CAP = 10.0
 """Nats per point: what a far outlier may add to a part's evidence at most."""
 
-CERTAIN_LOSS = 8.0
-"""A part worth this many nats per claimed point, the others staying where they are, is not put on trial."""
+SUPPORTED = 0.3
+"""Share of the surface per template point, relative to an even one, from which a template point counts as supported."""
 
-WANTED_LOSS = (0.5, 6.0)
-"""Nats per claimed point that a part has to be worth once the others have adapted: for a part that every shape has, and
-for one that none has; in between by its prevalence among the exemplars."""
+INTERCEPT = -8.8
+SIGNS = {"support": 4.5, "distance": -1.05, "worth": 0.55, "facing": 3.5, "prevalence": 2.6}
+"""Log odds that a part exists: the intercept and, per unit, its share of supported points; log of the distance of its
+points to the surface over the spacing of samples; nats per claimed point it is worth; |cos| between its normals and
+those it claimed; prevalence among exemplars.  By logistic regression over 1100 parts, 200 of them absent, of six
+families; each family was predicted from the other five with an area under the curve of .95 (the nats alone: .85)."""
+
+DOUBT = -0.5
+"""Log odds below which a part is switched off: losing a part that is there costs more than keeping a ghost."""
 
 NEGLIGIBLE_SHARE = 0.05
 """Share of the surface claimed, relative to the part's share of the template, below which a part is off anyway."""
@@ -64,42 +72,52 @@ def switch_off_missing(
     problem: Problem,
     templates: PartTemplates,
     candidates: Candidates,
+    correspondence: Correspondence,
     beliefs: Beliefs,
     unary: Float[np.ndarray, " 3"],
     prevalence: Float[np.ndarray, " L"],
     refit: Refit,
 ) -> Beliefs:
-    """Deactivate the parts that the shape does not have; parts painted on it always stay, and one part always stays.
+    """Deactivate the part that the shape most likely does not have; painted parts always stay, and one part always.
 
     ``prevalence`` (see ``part_prevalence``) makes a part that is usual harder to lose than one that is rare.
-    ``misfit`` of the result holds what each part is worth in nats per claimed point, after its trial if there was one.
+    ``misfit`` of the result holds the log odds of each part's existence.
     """
     if np.sqrt(unary.mean()) > SHARPNESS:
         return beliefs
     favourite, loss, density = explained(problem, templates, candidates, beliefs, unary)
     painted = np.bincount(problem.evidence[problem.evidence >= 0], minlength=templates.n_parts) > 0
     own = np.bincount(templates.label, minlength=templates.n_parts) * beliefs.active
-    wanted = WANTED_LOSS[0] * prevalence + WANTED_LOSS[1] * (1.0 - prevalence)
-    worth, missing = beliefs.misfit.copy(), np.zeros(templates.n_parts, bool)
+    supported = correspondence.mass > SUPPORTED * len(problem.points) / own.sum()
+    away = nearest_points(problem.points, beliefs.deformed)[1][:, 0] / problem.spacing
+    normals = mapped_normals(templates, beliefs)
+    odds = np.full(templates.n_parts, np.nan)
     for part in np.flatnonzero(beliefs.active).tolist():
-        claimed = favourite == part
-        expected = own[part] / own.sum() * len(problem.points)
-        worth[part] = float(loss[claimed].mean()) if claimed.any() else 0.0
-        if painted[part] or beliefs.active.sum() == 1:
+        claimed, mine = favourite == part, templates.label == part
+        if claimed.sum() < NEGLIGIBLE_SHARE * own[part] / own.sum() * len(problem.points):
+            odds[part] = -np.inf
             continue
-        if claimed.sum() < NEGLIGIBLE_SHARE * expected:
-            missing[part] = True
-        elif worth[part] < CERTAIN_LOSS:
+        nearest = nearest_points(beliefs.deformed[mine], problem.points[claimed])[0][:, 0]
+        signs = {
+            "support": supported[mine].mean(), "distance": np.log(away[mine].mean() + 0.05),
+            "worth": min(float(loss[claimed].mean()), LOSS_CAP),
+            "facing": np.abs((normals[mine][nearest] * problem.normals[claimed]).sum(axis=1)).mean(),
+            "prevalence": prevalence[part],
+        }  # fmt: skip
+        odds[part] = INTERCEPT + sum(SIGNS[name] * value for name, value in signs.items())
+        # the loss with the others staying where they are is an upper bound; the trial is for parts that it may condemn
+        if odds[part] - SIGNS["worth"] * signs["worth"] < DOUBT and not painted[part] and beliefs.active.sum() > 1:
             trial, tried = refit(without(beliefs, part))
             after = explained(problem, templates, tried, trial, unary)[2]
-            worth[part] = float(np.clip(density - after, 0.0, LOSS_CAP)[claimed].mean())
-            missing[part] = worth[part] < wanted[part]
-    if missing[beliefs.active].all():  # the part that is worth most stays
-        missing[np.nanargmax(np.where(beliefs.active, worth, np.nan))] = False
-    beliefs = replace(beliefs, misfit=worth)
+            worth = float(np.clip(density - after, 0.0, LOSS_CAP)[claimed].mean())
+            odds[part] += SIGNS["worth"] * (worth - signs["worth"])
+    beliefs = replace(beliefs, misfit=odds)
+    missing = beliefs.active & ~painted & (odds < DOUBT)
+    if (missing == beliefs.active).all():  # the likeliest part stays
+        missing[np.nanargmax(np.where(beliefs.active, odds, np.nan))] = False
     # one part a round: two parts on one surface must not condemn each other
     gone = np.flatnonzero(missing)
-    return without(beliefs, int(gone[np.argmin((worth - wanted)[gone])])) if len(gone) else beliefs
+    return without(beliefs, int(gone[np.argmin(odds[gone])])) if len(gone) else beliefs
 
 
 def without(beliefs: Beliefs, part: int) -> Beliefs:

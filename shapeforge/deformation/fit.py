@@ -298,7 +298,9 @@ def fit_shape(
     beliefs, correspondence = settle(beliefs, candidates, inner)
     energy = free_energy(problem, templates, graph, candidates, correspondence, beliefs, covariances, pull)
     summary = summarize(problem, templates, graph, candidates, correspondence, beliefs, energy)
-    beliefs = switch_off_missing(problem, templates, candidates, beliefs, covariances.unary, prevalence, refit)
+    beliefs = switch_off_missing(
+        problem, templates, candidates, correspondence, beliefs, covariances.unary, prevalence, refit
+    )
     return update_maps(templates, correspondence, beliefs), summary
 
 

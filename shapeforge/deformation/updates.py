@@ -41,6 +41,11 @@ class Problem:
     evidence: Int[np.ndarray, " P"]
 
     @cached_property
+    def spacing(self) -> float:
+        """Mean distance of a sample to the next one (diagonals)."""
+        return float(nearest_points(self.points, self.points, 2)[1][:, 1].mean())
+
+    @cached_property
     def pair_squares(self) -> Float[np.ndarray, " d"]:
         """Squared descriptor differences summed over the neighbour pairs, both directions (d,): for Σ5."""
         return _kernels.pair_squares(self.offsets, self.neighbour, self.descriptors)
