@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future
 from typing import Any
 
@@ -50,8 +50,8 @@ def shared(executor: Executor | None, value: Any) -> Any:
     return value if client is None else client.scatter(value, broadcast=True, hash=False)
 
 
-def kept(executor: Executor | None, items: Sequence[Any]) -> Callable[[], Iterator[Any]]:
-    """A function that goes through ``items`` from the first to the last, as arguments for ``in_order``, any many times.
+def kept(executor: Executor | None, items: Any) -> Callable[[], Iterator[Any]]:
+    """A function that goes through ``items`` (a sequence, lazy or not), as often as wanted, for ``in_order``.
 
     A lazy collection is read anew every time and never held.  On a cluster each item is read and sent when it is first
     needed, and stays with a worker as long as the function lives.
