@@ -25,7 +25,7 @@ from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.energy import free_energy
 from shapeforge.deformation.existence import part_prevalence, switch_off_missing
 from shapeforge.deformation.factors import FLOORS, Covariances, attraction, floored, initial_covariances
-from shapeforge.deformation.templates import PartTemplates, pair_graph, template_from_exemplar
+from shapeforge.deformation.templates import PartTemplates, template_from_exemplar
 from shapeforge.deformation.updates import (
     Candidates,
     Correspondence,
@@ -300,7 +300,7 @@ def fit_shape(
 
     ``pull`` is φ5's logit Φ per neighbour pair if it is at hand: it is the same for every template set.
     """
-    graph = pair_graph(templates.neighbours)
+    graph = templates.graph
     if pull is None:
         pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)
 
