@@ -69,7 +69,7 @@ def prepared(file: Path, n_points: int, up: str) -> tuple[Shape, dict[str, float
 def fit_seconds(
     shapes: list[Shape], labels: dict[int, np.ndarray], names: tuple[str, ...], exemplars: int
 ) -> tuple[float, int]:
-    """CPU-seconds a shape, and the rounds, of a whole fit; the first shapes are the exemplars, all others of the first one's group."""
+    """CPU-seconds a shape of a whole fit, and its rounds; the first shapes are the exemplars."""
     number = len(shapes)
     group = np.array([t if t < exemplars else 0 for t in range(number)])
     groups = Groups(
