@@ -83,16 +83,16 @@ def starting_parts(project: Project) -> tuple[dict[int, np.ndarray], tuple[str, 
 def write_shapes(task: Task, folder: Path, state: Any, hierarchy: Any) -> Iterator[Progress]:
     """Faces and corresponding points of every shape, one file each; those of an interrupted run are kept."""
     from shapeforge.deformation.faces import label_faces
+    from shapeforge.deformation.fit import blend
     from shapeforge.deformation.hierarchy import corresponding_points
 
     project, names = task.project, task.project.names
-    all_beliefs = state.beliefs
 
     def work(t: int) -> None:
         path = folder / "shapes" / f"{names[t]}.zarr.zip"
         if path.is_file():
             return
-        shape, beliefs = project.shapes[t], all_beliefs[t]
+        shape, beliefs = project.shapes[t], blend(state.candidates[t])
         labels, probabilities = label_faces(shape, beliefs, project.labels(names[t]))
         positions, existence = corresponding_points(shape, beliefs, hierarchy)
         found = {"beliefs": beliefs, "labels": np.asarray(labels, np.int32), "positions": positions}
@@ -191,7 +191,7 @@ def _epoch_text(state: Any) -> str:
 
 def refine(task: Task) -> Iterator[Progress]:
     """Joint analysis and synthesis: the machine is a prior on the fit, the refined fit teaches the machine, 3 times."""
-    from shapeforge.deformation.fit import fit_templates
+    from shapeforge.deformation.fit import blend, fit_templates
     from shapeforge.deformation.hierarchy import corresponding_points
 
     project, folder = task.project, task.folder
@@ -216,10 +216,9 @@ def refine(task: Task) -> Iterator[Progress]:
         )  # fmt: skip
         for state in states:
             yield task.progress("alternate", number, of, f"alternation {number + 1}, {_round_text(state)}", state=state)
-        beliefs = state.beliefs
 
-        def corresponding(t: int, beliefs: Any = beliefs) -> np.ndarray:
-            return corresponding_points(project.shapes[t], beliefs[t], hierarchy)[0]
+        def corresponding(t: int, state: Any = state) -> np.ndarray:
+            return corresponding_points(project.shapes[t], blend(state.candidates[t]), hierarchy)[0]
 
         positions = np.stack(list(task.workers.map(corresponding, range(len(names)))))
         number += 1

@@ -10,10 +10,13 @@ from shapeforge.collection._kernels import cell_grid
 MOST_CELLS = 64
 """Cells along an axis at most: stray points must not ask for more memory than there is."""
 
+GROUP = 0.9
+"""Edge of the cells whose queries share a search, in cells of the points."""
+
 
 @njit(cache=True, nogil=True)
 def cell_size(points, k):
-    """An edge of cells that suits ``nearest_k``: a little less than the radius that holds k points of the surface."""
+    """An edge of cells that suits ``nearest_k``: nearly the radius that holds k points of the surface, 80 at least."""
     largest = 0.0
     for axis in range(3):
         largest = max(largest, points[:, axis].max() - points[:, axis].min())
@@ -24,7 +27,7 @@ def cell_size(points, k):
     occupied = 0
     for c in range(len(first) - 1):
         occupied += first[c + 1] > first[c]
-    reach = trial * np.sqrt(k * occupied / (np.pi * len(points)))
+    reach = trial * np.sqrt(max(k, 80) * occupied / (np.pi * len(points)))
     return max(0.9 * reach, largest / MOST_CELLS)
 
 
@@ -54,76 +57,145 @@ def part_smallest(distance, index, count, k):
 
 
 @njit(cache=True, nogil=True)
-def along_a_curve(points):
-    """An order (n,) in which points that follow each other are near: Morton's, over 64 cells along each axis."""
-    code = np.zeros(len(points), np.int64)
-    low = np.empty(3)
-    span = 1e-300
-    for axis in range(3):
-        low[axis] = points[:, axis].min()
-        span = max(span, points[:, axis].max() - low[axis])
-    for i in range(len(points)):
-        for axis in range(3):
-            at = min(int((points[i, axis] - low[axis]) / span * 64), 63)
-            for bit in range(6):
-                code[i] |= ((at >> bit) & 1) << (3 * bit + axis)
-    return np.argsort(code)
+def gather(placed, low, shape, first, size, centre, radius, near, which):
+    """Copy the points within ``radius`` of ``centre`` into ``near`` (3, n) and their rows into ``which``; how many."""
+    bound = radius * radius
+    x0 = int(min(max((centre[0] - radius - low[0]) / size, 0.0), shape[0]))
+    x1 = int(min(max((centre[0] + radius - low[0]) / size, -1.0), shape[0] - 1.0))
+    count = 0
+    for x in range(x0, x1 + 1):
+        gap = max(low[0] + x * size - centre[0], centre[0] - low[0] - (x + 1) * size, 0.0)
+        left_x = bound - gap * gap
+        if left_x < 0.0:
+            continue
+        wide = np.sqrt(left_x)
+        y0 = int(min(max((centre[1] - wide - low[1]) / size, 0.0), shape[1]))
+        y1 = int(min(max((centre[1] + wide - low[1]) / size, -1.0), shape[1] - 1.0))
+        for y in range(y0, y1 + 1):
+            gap = max(low[1] + y * size - centre[1], centre[1] - low[1] - (y + 1) * size, 0.0)
+            left = left_x - gap * gap
+            if left < 0.0:
+                continue
+            deep = np.sqrt(left)
+            z0 = int(min(max((centre[2] - deep - low[2]) / size, 0.0), shape[2]))
+            z1 = int(min(max((centre[2] + deep - low[2]) / size, -1.0), shape[2] - 1.0))
+            if z1 < z0:
+                continue
+            row = (x * shape[1] + y) * shape[2]
+            for at in range(first[row + z0], first[row + z1 + 1]):
+                dx = placed[at, 0] - centre[0]
+                dy = placed[at, 1] - centre[1]
+                dz = placed[at, 2] - centre[2]
+                near[0, count] = dx
+                near[1, count] = dy
+                near[2, count] = dz
+                which[count] = at
+                count += dx * dx + dy * dy + dz * dz <= bound
+    return count
+
+
+@njit(cache=True, nogil=True)
+def threshold(distance, count, k):
+    """A value that exactly ``k`` of the first ``count`` distances do not exceed, or -1 where equal ones prevent it."""
+    low, high = np.float32(0.0), np.float32(0.0)
+    for j in range(count):
+        high = max(high, distance[j])
+    below, above = 0, count
+    if count == k:
+        return high
+    for step in range(32):
+        # on a surface the number grows with the square of the distance; every third step halves, to be sure
+        share = np.float32(0.5) if step % 3 == 2 else np.float32(k - below + 0.5) / np.float32(above - below + 1)
+        middle = low + (high - low) * min(share, np.float32(0.97))
+        if not low < middle < high:
+            return np.float32(-1.0)
+        within = np.int32(0)
+        for j in range(count):
+            within += np.int32(distance[j] <= middle)
+        if within == k:
+            return middle
+        if within < k:
+            low, below = middle, within
+        else:
+            high, above = middle, within
+    return np.float32(-1.0)
 
 
 @njit(cache=True, nogil=True)
 def nearest_k(points, queries, k, size, out, squared):
     """The ``k`` nearest of ``points`` (n >= k) to every query: indices into ``out`` (Q, k), squared distances.
 
-    Unordered within a row.  Exact whatever the cells' ``size``: queries are taken along a curve, and the ball that
-    holds the k nearest of one query, grown by the step to the next, holds at least k points for that one, too.
+    Unordered within a row; exact, up to ties in single precision, whatever the cells' ``size``.  Queries of one cell
+    share a search: the ball around their middle that holds k points, grown by twice their spread, holds the k nearest
+    of each.
     """
     low, shape, first, order = cell_grid(points, size)
     placed = points[order]
     n = len(points)
-    distance = np.empty(n)
-    found = np.empty(n, np.int64)
+    _, _, group_first, group_order = cell_grid(queries, size_of_groups(queries, size))
+    near, which = np.empty((3, n + 1), np.float32), np.empty(n + 1, np.int32)
+    distance, index = np.empty(n + 1, np.float32), np.empty(n + 1, np.int32)
+    centre, before = np.empty(3), np.zeros(3)
     reach = np.inf
-    px = py = pz = 0.0
-    for i in along_a_curve(queries):
-        qx, qy, qz = queries[i, 0], queries[i, 1], queries[i, 2]
-        step = np.sqrt((qx - px) ** 2 + (qy - py) ** 2 + (qz - pz) ** 2)
-        reach = (reach + step) * (1 + 1e-9) + 1e-12  # rounding must not lose the last one
-        px, py, pz = qx, qy, qz
-        bound = reach * reach
-        x0 = int(min(max((qx - reach - low[0]) / size, 0.0), shape[0]))
-        x1 = int(min(max((qx + reach - low[0]) / size, -1.0), shape[0] - 1.0))
-        count = 0
-        for x in range(x0, x1 + 1):
-            gap = max(low[0] + x * size - qx, qx - low[0] - (x + 1) * size, 0.0)
-            left_x = bound - gap * gap
-            if left_x < 0.0:
-                continue
-            wide = np.sqrt(left_x)
-            y0 = int(min(max((qy - wide - low[1]) / size, 0.0), shape[1]))
-            y1 = int(min(max((qy + wide - low[1]) / size, -1.0), shape[1] - 1.0))
-            for y in range(y0, y1 + 1):
-                gap = max(low[1] + y * size - qy, qy - low[1] - (y + 1) * size, 0.0)
-                left = left_x - gap * gap
-                if left < 0.0:
-                    continue
-                deep = np.sqrt(left)
-                z0 = int(min(max((qz - deep - low[2]) / size, 0.0), shape[2]))
-                z1 = int(min(max((qz + deep - low[2]) / size, -1.0), shape[2] - 1.0))
-                if z1 < z0:
-                    continue
-                row = (x * shape[1] + y) * shape[2]
-                for at in range(first[row + z0], first[row + z1 + 1]):
-                    dx = placed[at, 0] - qx
-                    dy = placed[at, 1] - qy
-                    dz = placed[at, 2] - qz
-                    d = dx * dx + dy * dy + dz * dz
-                    distance[count] = d
-                    found[count] = at
-                    count += d <= bound
-        part_smallest(distance, found, count, k)
-        farthest = 0.0
-        for j in range(k):
-            farthest = max(farthest, distance[j])
-            out[i, j] = order[found[j]]
-            squared[i, j] = distance[j]
-        reach = np.sqrt(farthest)
+    for group in range(len(group_first) - 1):
+        begin, end = group_first[group], group_first[group + 1]
+        if begin == end:
+            continue
+        for axis in range(3):
+            centre[axis] = 0.0
+            for g in range(begin, end):
+                centre[axis] += queries[group_order[g], axis] / (end - begin)
+        spread, step = 0.0, 0.0
+        for g in range(begin, end):
+            apart = 0.0
+            for axis in range(3):
+                apart += (queries[group_order[g], axis] - centre[axis]) ** 2
+            spread = max(spread, np.sqrt(apart))
+        for axis in range(3):
+            step += (centre[axis] - before[axis]) ** 2
+            before[axis] = centre[axis]
+        # the ball that held k points of the last middle, grown by the step, holds k of this one
+        count = gather(placed, low, shape, first, size, centre, (reach + np.sqrt(step)) * 1.00001 + 1e-9, near, which)
+        for j in range(count):
+            distance[j] = near[0, j] * near[0, j] + near[1, j] * near[1, j] + near[2, j] * near[2, j]
+            index[j] = j
+        limit = threshold(distance, count, k)
+        if limit < 0.0:
+            part_smallest(distance, index, count, k)
+            limit = distance[:k].max()
+        reach = np.sqrt(float(limit))
+        count = gather(placed, low, shape, first, size, centre, (reach + 2 * spread) * 1.00001 + 1e-9, near, which)
+        for g in range(begin, end):
+            i = group_order[g]
+            x = np.float32(queries[i, 0] - centre[0])
+            y = np.float32(queries[i, 1] - centre[1])
+            z = np.float32(queries[i, 2] - centre[2])
+            for j in range(count):
+                dx, dy, dz = near[0, j] - x, near[1, j] - y, near[2, j] - z
+                distance[j] = dx * dx + dy * dy + dz * dz
+            limit = threshold(distance, count, k)
+            if limit < 0.0:
+                for j in range(count):
+                    index[j] = which[j]
+                part_smallest(distance, index, count, k)
+            else:
+                found = 0
+                for j in range(count):
+                    index[found] = which[j]
+                    found += distance[j] <= limit
+            for j in range(k):
+                at = index[j]
+                dx = placed[at, 0] - queries[i, 0]
+                dy = placed[at, 1] - queries[i, 1]
+                dz = placed[at, 2] - queries[i, 2]
+                out[i, j] = order[at]
+                squared[i, j] = dx * dx + dy * dy + dz * dz
+
+
+@njit(cache=True, nogil=True)
+def size_of_groups(queries, size):
+    """Edge of the cells whose queries share a search."""
+    largest = 0.0
+    for axis in range(3):
+        largest = max(largest, queries[:, axis].max() - queries[:, axis].min())
+    return max(GROUP * size, largest / MOST_CELLS, 1e-12)

@@ -18,6 +18,7 @@ from sklearn.exceptions import ConvergenceWarning
 from threadpoolctl import threadpool_limits
 
 from shapeforge.collection.align import dissimilarity, thinned
+from shapeforge.collection.parallel import in_order
 
 ALL_PAIRS_UP_TO = 100  # shapes (§2); above, distances on the edges of a graph only
 POINTS_COMPARED = 256
@@ -211,12 +212,7 @@ def _compared(points: list[np.ndarray], pairs: np.ndarray, executor: Any) -> Ite
     blocks = [slice(start, min(start + _PAIRS_A_BLOCK, len(pairs))) for start in range(0, len(pairs), _PAIRS_A_BLOCK)]
     # A worker in another process is sent the shapes of its block only.
     work = ([(points[a], points[b]) for a, b in pairs[block]] for block in blocks)
-    if executor is None:
-        results = map(_compare_block, work)
-    else:
-        futures = [executor.submit(_compare_block, some) for some in work]
-        results = (future.result() for future in futures)
-    for block, found in zip(blocks, results, strict=True):
+    for block, found in zip(blocks, in_order(executor, _compare_block, work), strict=True):
         yield block.stop, block, found
 
 

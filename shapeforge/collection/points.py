@@ -76,6 +76,7 @@ def nearest_points(
 ) -> tuple[Int[np.ndarray, "Q k"], Float[np.ndarray, "Q k"]]:
     """The ``k`` of ``points`` nearest to every query, in no order, and their distances; fewer columns where n < k.
 
+    Which of two points is nearer is told in single precision.
     Raises FloatingPointError where a coordinate is not finite.
     """
     k = min(k, len(points))
@@ -85,8 +86,7 @@ def nearest_points(
     points, queries = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(queries, np.float64)
     if not (np.isfinite(points).all() and np.isfinite(queries).all()):
         raise FloatingPointError("points: wanted finite coordinates, got NaN or infinity")
-    # far queries look through many cells: small ones, as a single neighbour would ask for, do not pay
-    _kernels_near.nearest_k(points, queries, k, _kernels_near.cell_size(points, max(k, 16)), index, squared)
+    _kernels_near.nearest_k(points, queries, k, _kernels_near.cell_size(points, k), index, squared)
     return index, np.sqrt(squared)
 
 

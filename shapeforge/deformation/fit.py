@@ -1,8 +1,9 @@
 """Algorithm 1: learn part templates, and fit them to every shape of the family.
 
 ``fit_templates`` is an iterator of states; whoever iterates prints, plots, saves, pauses and stops.  Shapes are worked
-on one by one by a pure function, so any executor with the ``concurrent.futures`` interface may run them; sums are taken
-in the order of the shapes, so the result does not depend on the number of workers.
+on one by one by a pure function, so any executor with the ``concurrent.futures`` interface may run them, and so may a
+cluster of ``dask.distributed`` (``Client.get_executor()``); sums are taken in the order of the shapes, so the result
+does not depend on the number of workers.
 """
 
 from __future__ import annotations
@@ -10,21 +11,21 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import reduce
-from operator import add
+from itertools import repeat
 
 import numpy as np
 from jaxtyping import Float
 
 from shapeforge.collection.align import affine_align, thinned
 from shapeforge.collection.groups import Groups
+from shapeforge.collection.parallel import in_order, kept, shared
 from shapeforge.collection.points import nearest_points
 from shapeforge.collection.shape import Shape, Shapes
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.energy import free_energy
 from shapeforge.deformation.existence import part_prevalence, switch_off_missing
 from shapeforge.deformation.factors import FLOORS, Covariances, attraction, floored, initial_covariances
-from shapeforge.deformation.templates import PartTemplates, pair_graph, template_from_exemplar
+from shapeforge.deformation.templates import PartTemplates, template_from_exemplar
 from shapeforge.deformation.updates import (
     Candidates,
     Correspondence,
@@ -58,6 +59,10 @@ unit of misfit."""
 
 WEIGHT_TEMPERATURE = 0.15
 """How fast an exemplar's weight falls with its misfit above the best exemplar's."""
+
+
+COMPACT = ("deformed", "variance", "segmentation")
+"""Arrays of the beliefs that a fit holds in single precision, of every shape and exemplar."""
 
 
 class FitDiverged(RuntimeError):
@@ -114,9 +119,8 @@ class FitState:
 def blend(candidates: Sequence[Candidate]) -> Beliefs:
     """The best candidate's beliefs, with segmentations averaged by weight over all candidates of the shape."""
     best = max(candidates, key=lambda candidate: candidate.weight)
-    total = sum(candidate.weight for candidate in candidates)
-    mixed = sum(candidate.weight * candidate.beliefs.segmentation for candidate in candidates) / total
-    return replace(best.beliefs, segmentation=mixed)
+    mixed = sum(candidate.weight * candidate.beliefs.segmentation.astype(np.float64) for candidate in candidates)
+    return replace(_unpacked(best.beliefs), segmentation=mixed / mixed.sum(axis=1, keepdims=True))
 
 
 def fit_templates(
@@ -143,15 +147,16 @@ def fit_templates(
     Raises ValueError when no exemplar has labels, FitDiverged (with the last good state) on non-finite numbers.
     """
     del rng  # the fit itself is deterministic; the argument is part of every algorithm's face
-    run = executor.map if executor is not None else map
+    each_shape = kept(executor, shapes)
     if resume is None:
         templates = tuple(_exemplar_templates(shapes, groups, labels, part_names, seeds))
         owners = _template_of_group(groups, templates, shapes)
         starts = list(
-            run(
-                _start, _each(shapes), [labels.get(t) for t in range(len(shapes))], _repeat(templates, len(shapes)),
-                [owners[g] if g >= 0 else 0 for g in groups.group], _repeat(exemplars_per_shape, len(shapes)),
-                seeds if seeds is not None else _repeat(None, len(shapes)),
+            in_order(
+                executor, _start, each_shape(), [labels.get(t) for t in range(len(shapes))],
+                repeat(shared(executor, templates)),
+                [owners[g] if g >= 0 else 0 for g in groups.group], repeat(exemplars_per_shape),
+                seeds if seeds is not None else repeat(None),
             )
         )  # fmt: skip
         state = FitState(
@@ -162,53 +167,53 @@ def fit_templates(
     else:
         state = replace(resume, of=rounds, stop_reason=None)
     while state.round < rounds:
-        state = _one_round(state, shapes, groups, labels, rounds, inner, run, prior)
+        state = _one_round(state, shapes, each_shape, groups, labels, rounds, inner, executor, prior)
         yield state
         if state.stop_reason is not None:
             return
 
 
-def _one_round(state, shapes, groups, labels, rounds, inner, run, prior) -> FitState:
+def _one_round(state, shapes, each_shape, groups, labels, rounds, inner, executor, prior) -> FitState:
     """One outer round of Algorithm 1: every shape, then Σ, then Y."""
     templates = state.templates
     owners = _template_of_group(groups, templates, shapes)
     number = len(shapes)
-    priors = [
+    priors = (
         {c.beliefs.template: prior(t, c.beliefs.template) for c in state.candidates[t]} if prior is not None else None
         for t in range(number)
-    ]
+    )
+    candidates, moves = [], []
+    own: dict[int, Summary] = {}
+    learners = [0] * len(templates)
+    total: Summary | None = None
     try:
-        results = list(
-            run(
-                _work_on_shape, _each(shapes), [labels.get(t) for t in range(number)], _repeat(templates, number),
-                state.candidates, _repeat(state.covariances, number), _repeat(inner, number), priors,
-            )
+        results = in_order(
+            executor, _work_on_shape, each_shape(), [labels.get(t) for t in range(number)],
+            repeat(shared(executor, templates)), state.candidates, repeat(state.covariances), repeat(inner), priors,
         )  # fmt: skip
+        for t, (found, summaries, moved) in enumerate(results):
+            candidates.append(found)
+            moves.append(moved)
+            # a template is learnt from the shapes of its own group; Σ from every shape's best explanation
+            for candidate, summary in zip(found, summaries, strict=True):
+                g = candidate.beliefs.template
+                if groups.group[t] >= 0 and owners[groups.group[t]] == g:
+                    own[g] = own[g] + summary if g in own else summary
+                    learners[g] += 1
+            alone = replace(summaries[_best(found)], template_moment=np.zeros((1, 3)))
+            total = alone if total is None else total + alone
     except FloatingPointError as error:
         raise FitDiverged(
             f"{error}: its fit produced numbers that are not finite, usually from broken descriptors; "
             "import the shape again or leave it out", state,
         ) from error  # fmt: skip
-    candidates = tuple(result[0] for result in results)
-    moved = float(np.mean([result[2] for result in results]))
-    # a template is learnt from the shapes of its own group; Σ from every shape's best explanation
-    learnt = list(templates)
-    best_sums = []
-    for g in range(len(templates)):
-        own = [
-            summary
-            for t, result in enumerate(results)
-            for candidate, summary in zip(result[0], result[1], strict=True)
-            if candidate.beliefs.template == g and groups.group[t] >= 0 and owners[groups.group[t]] == g
-        ]
-        if len(own) > 1:
-            learnt[g] = update_templates(templates[g], reduce(add, own))
-    for result in results:
-        best = max(range(len(result[0])), key=lambda i: result[0][i].weight)
-        best_sums.append(replace(result[1][best], template_moment=np.zeros((1, 3))))
-    total = reduce(add, best_sums)
+    learnt = tuple(
+        update_templates(template, own[g]) if learners[g] > 1 else template for g, template in enumerate(templates)
+    )
+    assert total is not None, "there is no family without shapes"
     covariances, first = _update_covariances(total, state)
     energy = total.energy / total.points
+    moved = float(np.mean(moves))
     number_round = state.round + 1
     sharp = np.sqrt(covariances.unary.mean()) <= 1.5 * FLOORS["unary"]
     reason = None
@@ -218,7 +223,7 @@ def _one_round(state, shapes, groups, labels, rounds, inner, run, prior) -> FitS
         reason = "the deformed templates have come to rest"
     sigma_by_part = np.sqrt(total.by_part[:, 1] / np.maximum(total.by_part[:, 0], 1e-9) / 3)
     return FitState(
-        number_round, rounds, "fit", energy, moved, covariances, first, sigma_by_part, tuple(learnt), candidates, reason
+        number_round, rounds, "fit", energy, moved, covariances, first, sigma_by_part, learnt, tuple(candidates), reason
     )
 
 
@@ -246,22 +251,38 @@ def _work_on_shape(
     pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)
     done, sums, moves = [], [], []
     for candidate in candidates:
-        g = candidate.beliefs.template
+        before, g = _unpacked(candidate.beliefs), candidate.beliefs.template
         prior = priors.get(g) if priors is not None else None
         try:
             beliefs, summary = fit_shape(
-                problem, templates[g], candidate.beliefs, covariances, prevalence, inner=inner, prior=prior, pull=pull
+                problem, templates[g], before, covariances, prevalence, inner=inner, prior=prior, pull=pull
             )
         except FloatingPointError as error:
             raise FloatingPointError(shape.name) from error
         if not np.isfinite([beliefs.deformed.sum(), beliefs.maps.sum(), summary.energy]).all():
             raise FloatingPointError(shape.name)
-        moves.append(float(np.linalg.norm(beliefs.deformed - candidate.beliefs.deformed, axis=1).mean()))
+        moves.append(float(np.linalg.norm(beliefs.deformed - before.deformed, axis=1).mean()))
         done.append(beliefs)
         sums.append(summary)
     weighed = weigh(problem, templates, done)
-    best = max(range(len(weighed)), key=lambda i: weighed[i].weight)
-    return weighed, tuple(sums), moves[best]
+    return tuple(map(_compact, weighed)), tuple(sums), moves[_best(weighed)]
+
+
+def _best(candidates: Sequence[Candidate]) -> int:
+    return max(range(len(candidates)), key=lambda i: candidates[i].weight)
+
+
+def _compact(candidate: Candidate) -> Candidate:
+    """In single precision, which is plenty between rounds: the candidates of all shapes are what a fit holds."""
+    arrays = {name: getattr(candidate.beliefs, name).astype(np.float32) for name in COMPACT}
+    return replace(candidate, beliefs=replace(candidate.beliefs, **arrays))
+
+
+def _unpacked(beliefs: Beliefs) -> Beliefs:
+    """In double precision, for the updates; probabilities sum to one again."""
+    arrays = {name: getattr(beliefs, name).astype(np.float64) for name in COMPACT}
+    arrays["segmentation"] /= arrays["segmentation"].sum(axis=1, keepdims=True)
+    return replace(beliefs, **arrays)
 
 
 def fit_shape(
@@ -279,7 +300,7 @@ def fit_shape(
 
     ``pull`` is φ5's logit Φ per neighbour pair if it is at hand: it is the same for every template set.
     """
-    graph = pair_graph(templates.neighbours)
+    graph = templates.graph
     if pull is None:
         pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)
 
@@ -357,7 +378,7 @@ def _start(shape, faces, templates, own, how_many, seed) -> tuple[Candidate, ...
     alignments = [affine_align(template.points, shape.points) for template in templates]
     order = sorted(range(len(templates)), key=lambda g: (g != own, alignments[g].residual))[:how_many]
     beliefs = [affine_beliefs(shape, problem, templates[g], g, alignments[g], seed) for g in order]
-    return weigh(problem, templates, beliefs)
+    return tuple(map(_compact, weigh(problem, templates, beliefs)))
 
 
 def _exemplar_templates(shapes, groups, labels, part_names, seeds) -> Iterator[PartTemplates]:
@@ -393,11 +414,3 @@ def _template_of_group(groups: Groups, templates: tuple[PartTemplates, ...], sha
     by_source = {template.source: i for i, template in enumerate(templates)}
     names = shapes.names if hasattr(shapes, "names") else [shape.name for shape in shapes]
     return [by_source.get(names[int(t)], -1) for t in groups.exemplars]
-
-
-def _each(shapes) -> Iterator[Shape]:
-    return (shapes[t] for t in range(len(shapes)))
-
-
-def _repeat(value, times: int) -> list:
-    return [value] * times

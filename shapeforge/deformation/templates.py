@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -44,13 +45,20 @@ class PartTemplates:
         """Number of part labels L."""
         return len(self.part_names)
 
+    @cached_property
+    def graph(self) -> tuple[np.ndarray, np.ndarray]:
+        """``pair_graph`` of the neighbours; it moves along with the templates."""
+        return pair_graph(self.neighbours)
+
     def has_part(self) -> np.ndarray:
         """(L,) bool: which parts own template points here."""
         return np.bincount(self.label, minlength=self.n_parts) > 0
 
     def moved(self, points: Float[np.ndarray, "K 3"]) -> PartTemplates:
         """The same templates at other positions."""
-        return replace(self, points=points)
+        moved = replace(self, points=points)
+        moved.__dict__["graph"] = self.graph
+        return moved
 
 
 def template_from_points(

@@ -213,11 +213,12 @@ def update_maps(templates: PartTemplates, correspondence: Correspondence, belief
         if rows.sum() < 4 or total < 1.0:
             continue
         y, x = templates.points[rows], target[rows]
-        y_mean, x_mean = weight @ y / total, weight @ x / total
+        # not by BLAS, whose sums over many rows depend on its number of threads
+        y_mean, x_mean = (np.einsum("n,ni->i", weight, one) / total for one in (y, x))
         yc, xc = y - y_mean, x - x_mean
-        second = (yc * weight[:, None]).T @ yc
+        second = np.einsum("n,ni,nj->ij", weight, yc, yc)
         ridge = MAP_RIDGE * np.trace(second) / 3 * np.eye(3)
-        cross = (xc * weight[:, None]).T @ yc
+        cross = np.einsum("n,ni,nj->ij", weight, xc, yc)
         maps[part] = (cross + maps[part] @ ridge) @ np.linalg.inv(second + ridge)
         offsets[part] = x_mean - maps[part] @ y_mean
     return replace(beliefs, maps=maps, offsets=offsets)

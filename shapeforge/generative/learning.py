@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,7 +66,8 @@ def learn_machine(
 
     ``epochs`` of fine-tuning (default: enough for about 1600 steps) and ``pretraining`` epochs per layer; a share
     ``validation`` of the shapes is held out unless there are fewer than 10.  ``start`` continues from a machine (its
-    pre-training is skipped).  ``executor`` (threads) works on the parts side by side; the result is the same bytes.
+    pre-training is skipped).  With threads as ``executor`` the parts are worked on side by side (a cluster is left
+    alone: see ``joint`` and the fit for what is worth one); the result is the same bytes.
     Learning stops early when the held-out error has not fallen for a share ``patience`` of all epochs.
 
     Raises ValueError with fewer than two shapes.
@@ -76,7 +77,8 @@ def learn_machine(
             f"observations: wanted at least 2 shapes, got {observations.n_shapes}; "
             "usually most shapes of the family were left out before learning"
         )
-    run = map if executor is None else executor.map
+    # steps on a part take milliseconds: threads gain by them, another process would only wait for its data
+    run = executor.map if isinstance(executor, ThreadPoolExecutor) else map
     train, held_out = _split(observations, validation, rng)
     n_held_out = 0 if held_out is None else held_out.n_shapes
     batch_size = min(BATCH, train.n_shapes)

@@ -126,7 +126,8 @@ def test_the_nearest_points_of_near_and_far_queries(n, n_queries, k, far, seed):
     assert all(len(set(row)) == len(row) for row in index)
     np.testing.assert_allclose(distance, np.linalg.norm(points[index] - queries[:, None], axis=2))
     wanted = cKDTree(points).query(queries, k=range(1, min(k, n) + 1))[0]
-    np.testing.assert_allclose(np.sort(distance, axis=1), wanted, rtol=1e-9, atol=1e-12)
+    # which of two points is nearer is told in single precision
+    np.testing.assert_allclose(np.sort(distance, axis=1), wanted, rtol=1e-6, atol=3e-6 * (1 + far))
 
 
 def test_nearest_points_refuse_what_is_not_finite():

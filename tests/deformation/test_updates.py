@@ -230,7 +230,7 @@ def test_candidates_are_the_nearest_both_ways():
 
 
 def test_candidates_of_a_trial_lose_the_part_and_samples_that_lost_some_look_again():
-    problem, templates, beliefs, covariances = toy(10, n_points=400, n_template=300)
+    problem, templates, beliefs, covariances = toy(12, n_points=400, n_template=300)
     before = find_candidates(problem, templates, beliefs, covariances.descriptor)
     beliefs = replace(beliefs, active=np.array([True, False, True]))
     got = candidates_without(problem, templates, before, beliefs, covariances.descriptor)
