@@ -60,9 +60,7 @@ def smooth_borders(
     )
 
 
-def _spread(
-    vertices: np.ndarray, triangles: np.ndarray, label: np.ndarray, n_labels: int
-) -> Float[np.ndarray, "V L"]:
+def _spread(vertices: np.ndarray, triangles: np.ndarray, label: np.ndarray, n_labels: int) -> Float[np.ndarray, "V L"]:
     """Warmth of every label at every vertex: one implicit step of the heat equation over SPREAD squared."""
     area = np.maximum(areas(vertices, triangles), 1e-12)
     n = len(vertices)

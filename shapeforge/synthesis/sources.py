@@ -16,21 +16,12 @@ from scipy.spatial import cKDTree
 from shapeforge.collection.shape import Shape
 from shapeforge.collection.surface import closest_points
 from shapeforge.synthesis.embedded import DeformationGraph, build_graph
-from shapeforge.synthesis.measures import PartQuality, part_quality
-from shapeforge.synthesis.surfaces import (
-    as_mesh,
-    cut_out,
-    farthest_points,
-    subdivide_long_edges,
-    touching_pieces,
-)
+from shapeforge.synthesis.measures import PartQuality
+from shapeforge.synthesis.parts import cut_mesh, cut_part
+from shapeforge.synthesis.surfaces import as_mesh, farthest_points, touching_pieces
 
 FEWEST_POINTS = 6
 """Corresponding points that a part needs on a shape, or it counts as absent there."""
-EDGE_LENGTH = 0.05
-"""Longest edge (diagonals) left in a part before it is bent."""
-TRIANGLE_LIMIT = 12_000
-"""Edges of a part are split only while it keeps at most so many triangles."""
 CONTACT = 0.01
 """Surface of another part nearer than this (diagonals) counts as touching ..."""
 NEAR_CONTACT = 0.015
@@ -190,26 +181,24 @@ def read_parts(
     part: Int[np.ndarray, " K"],
     n_parts: int,
 ) -> dict[int, SourcePart]:
-    """Every part of a shape: faces cut from the mesh by label and refined, graph, handles, quality, anchors."""
+    """Every part of a shape: cut from the mesh by label, cleanly, with handles, quality and anchors."""
     mesh = shape.mesh
     if len(faces) != mesh.n_faces:
         raise ValueError(
             f"faces: wanted one label per face record of {shape.name} ({mesh.n_faces}), got {len(faces)}. "
             "Do the labels belong to another version of the mesh?"
         )
-    label = faces[mesh.face_of_triangle]
+    cut = cut_mesh(mesh, faces[mesh.face_of_triangle], n_parts)
     found: dict[int, SourcePart] = {}
     for l in range(n_parts):
         template = np.flatnonzero((part == l) & np.isfinite(positions).all(axis=1))
-        coarse_vertices, coarse = cut_out(mesh.vertices, mesh.triangles, label == l)
-        if len(coarse) == 0 or len(template) == 0:
+        if not (cut.label == l).any() or len(template) == 0:
             continue
-        vertices, triangles = subdivide_long_edges(coarse_vertices, coarse, length=EDGE_LENGTH, limit=TRIANGLE_LIMIT)
         handles = np.asarray(positions[template], float)
+        vertices, triangles, quality = cut_part(cut, l, handles)
         found[l] = SourcePart(
-            shape.name, l, vertices, triangles, touching_pieces(vertices, triangles), template, handles,
-            part_quality(mesh, label, l, vertices, triangles, handles),
-        )  # fmt: skip
+            shape.name, l, vertices, triangles, touching_pieces(vertices, triangles), template, handles, quality
+        )
     anchors = _find_anchors(found)
     return {l: replace(source, anchors=anchors[l]) for l, source in found.items()}
 

@@ -22,10 +22,14 @@ def cut_out(vertices: Vertices, triangles: Triangles, chosen: Bool[np.ndarray, "
     Triangles that have no area, or that repeat another one, are dropped.
     """
     used, corners = np.unique(triangles[chosen], return_inverse=True)
-    positions = vertices[used]
-    cells = np.round(positions / WELD).astype(np.int64)
-    _, first, weld = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    return drop_bad(positions[first], weld.reshape(-1)[corners.reshape(-1, 3)])
+    return drop_bad(*weld(vertices[used], corners.reshape(-1, 3)))
+
+
+def weld(vertices: Vertices, triangles: Triangles) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices of which none coincide (within 1e-6), and the same triangles (N, 3) in their numbers."""
+    cells = np.round(vertices / WELD).astype(np.int64)
+    _, first, place = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    return vertices[first], place.reshape(-1)[triangles]
 
 
 def drop_bad(vertices: Vertices, triangles: Triangles, area: float = 1e-12) -> tuple[np.ndarray, np.ndarray]:
