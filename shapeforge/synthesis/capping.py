@@ -28,7 +28,7 @@ def closed_components(triangles: Triangles) -> tuple[Bool[np.ndarray, " E"], Boo
 
 def cap(vertices: Vertices, triangles: Triangles, chosen: Bool[np.ndarray, " N"]) -> tuple[np.ndarray, float]:
     """Triangles (M, 3) that close the chosen ones where the rest of a closed surface was cut off, and the length
-    (units of the vertices) of cuts that stay open: they do not close, or lie in no plane.
+    (units of the vertices) of such cuts that stay open: they do not close, or lie in no plane.
     """
     if not chosen.any() or chosen.all():
         return np.zeros((0, 3), np.int32), 0.0
@@ -38,7 +38,7 @@ def cap(vertices: Vertices, triangles: Triangles, chosen: Bool[np.ndarray, " N"]
     cut = (joined & (own == 1))[edge_of_side] & np.repeat(chosen, 3)
     starts, ends = triangles.ravel()[cut], np.roll(triangles, -1, axis=1).ravel()[cut]
     hollow = np.repeat(closed, 3)[cut]
-    length = np.linalg.norm(vertices[starts] - vertices[ends], axis=1)
+    length = np.linalg.norm(vertices[starts] - vertices[ends], axis=1)[hollow]
     lids = [loop for loop in _loops(ends[hollow], starts[hollow]) if _is_flat(vertices[loop])]
     if not lids:
         return np.zeros((0, 3), np.int32), float(length.sum())

@@ -19,7 +19,7 @@ UNEXPLAINED = 0.2
 FAR = 0.05
 MISPLACED = 0.03
 MENDED = 0.4
-HOLES = 1.0
+HOLES = 4.0
 FEWEST_TRIANGLES = 8
 CONTACT_REACH = 0.06
 """A part holds on if it touches within this distance (diagonals) of its anchors."""

@@ -35,15 +35,28 @@ class CutMesh:
     mended: Float[np.ndarray, " L"]
 
 
-def cut_mesh(mesh: Mesh, label: Int[np.ndarray, " M"], n_parts: int) -> CutMesh:
-    """The mesh with a label per triangle, welded, refined, and cut along clean borders."""
+def cut_mesh(
+    mesh: Mesh, label: Int[np.ndarray, " M"], positions: Float[np.ndarray, "K 3"], part: Int[np.ndarray, " K"],
+    n_parts: int, *, painted: bool = False,
+) -> CutMesh:  # fmt: skip
+    """The mesh with a label per triangle, welded, refined, and cut along clean borders.
+
+    ``positions`` (NaN where absent) are the corresponding points and ``part`` theirs; labels that were ``painted`` by
+    hand are taken at their word.
+    """
     vertices, triangles = weld(np.asarray(mesh.vertices, float), mesh.triangles)
     keep = good_triangles(vertices, triangles)
     triangles, label = triangles[keep], np.asarray(label)[keep]
     limit = len(triangles) + TRIANGLE_LIMIT
     vertices, triangles, parent = refine(vertices, triangles, length=EDGE_LENGTH, limit=limit)
     raw = label[parent]
-    clean = clean_labels(vertices, triangles, raw, n_parts)
+    present = np.isfinite(positions).all(axis=1)
+    clean = raw
+    if not painted and len(triangles) and present.any():
+        under = closest_points(as_mesh(vertices, triangles), positions[present])[1]
+        points = np.zeros((len(triangles), n_parts), np.int64)
+        np.add.at(points, (under, part[present]), 1)
+        clean = clean_labels(vertices, triangles, raw, n_parts, points)
     area = areas(vertices, triangles)
     mended = np.zeros(n_parts)
     for l in range(n_parts):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -93,6 +93,7 @@ class Sources:
     touching: Float[np.ndarray, "L L"]
     get_shape: Callable[[int], Shape]
     face_labels: Sequence[np.ndarray]
+    painted: frozenset[str] = frozenset()
     keep: int = 64
     _cache: OrderedDict = field(default_factory=OrderedDict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
@@ -109,8 +110,9 @@ class Sources:
                 self._cache.move_to_end(index)
                 return self._cache[index]
         parts = read_parts(
-            self.get_shape(index), np.asarray(self.face_labels[index]), self.positions[index], self.part, self.n_parts
-        )
+            self.get_shape(index), np.asarray(self.face_labels[index]), self.positions[index], self.part, self.n_parts,
+            painted=self.names[index] in self.painted,
+        )  # fmt: skip
         with self._lock:
             self._cache[index] = parts
             while len(self._cache) > self.keep:
@@ -129,10 +131,12 @@ def make_sources(
     positions: Float[np.ndarray, "T K 3"],
     part: Int[np.ndarray, " K"],
     part_names: Sequence[str],
+    painted: Collection[str] = (),
 ) -> Sources:
     """Sources of T training shapes.  Only the corresponding points are looked at now; meshes are read on demand.
 
     ``get_shape(i)`` and ``face_labels[i]`` ((n_faces,) part index, -1 unlabelled) may be as lazy as they like.
+    The labels of the ``painted`` shapes are taken at their word, those of the others are tidied.
     """
     if positions.ndim != 3 or positions.shape[:2] != (len(names), len(part)):
         raise ValueError(
@@ -145,7 +149,9 @@ def make_sources(
     present = np.isfinite(positions).all(axis=2)
     exists = np.stack([present[:, part == l].sum(axis=1) >= FEWEST_POINTS for l in range(n_parts)], axis=1)
     touching = _touching(positions, present & exists[:, part], part, n_parts)
-    return Sources(tuple(names), positions, exists, part, tuple(part_names), touching, get_shape, face_labels)
+    return Sources(
+        tuple(names), positions, exists, part, tuple(part_names), touching, get_shape, face_labels, frozenset(painted)
+    )
 
 
 def _touching(
@@ -180,6 +186,8 @@ def read_parts(
     positions: Float[np.ndarray, "K 3"],
     part: Int[np.ndarray, " K"],
     n_parts: int,
+    *,
+    painted: bool = False,
 ) -> dict[int, SourcePart]:
     """Every part of a shape: cut from the mesh by label, cleanly, with handles, quality and anchors."""
     mesh = shape.mesh
@@ -188,7 +196,7 @@ def read_parts(
             f"faces: wanted one label per face record of {shape.name} ({mesh.n_faces}), got {len(faces)}. "
             "Do the labels belong to another version of the mesh?"
         )
-    cut = cut_mesh(mesh, faces[mesh.face_of_triangle], n_parts)
+    cut = cut_mesh(mesh, faces[mesh.face_of_triangle], np.asarray(positions, float), part, n_parts, painted=painted)
     found: dict[int, SourcePart] = {}
     for l in range(n_parts):
         template = np.flatnonzero((part == l) & np.isfinite(positions).all(axis=1))
