@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from shapeforge.collection.shape import Mesh
 from shapeforge.collection.surface import closest_points
+from shapeforge.synthesis.cleaning import neighbours
 from shapeforge.synthesis.surfaces import WELD, vertex_components
 
 RAGGED = 0.006
@@ -167,16 +168,15 @@ def symmetry_error(points: Float[np.ndarray, "P 3"]) -> float:
 
 
 def inverted_triangles(
-    rest: Float[np.ndarray, "V 3"], bent: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"]
-) -> int:
+    rest: Float[np.ndarray, "V 3"], bent: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"],
+    pairs: tuple[np.ndarray, np.ndarray] | None = None,
+) -> int:  # fmt: skip
     """Folds that bending made: pairs of neighbours that faced alike at rest (within 60 degrees) and now are opposed.
 
-    ``rest`` should hold the vertices after the affine part of the deformation, which folds nothing.
+    ``rest`` should hold the vertices after the affine part of the deformation, which folds nothing;
+    ``pairs`` are the pairs of triangles with a common edge, where they are known already.
     """
-    corners = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1), axis=2).reshape(-1, 2)
-    order = np.lexsort(corners.T)
-    same = (np.diff(corners[order], axis=0) == 0).all(axis=1)
-    first, second = order[:-1][same] // 3, order[1:][same] // 3
+    first, second = neighbours(rest, triangles)[:2] if pairs is None else pairs
     turn = []
     for vertices in (rest, bent):
         a, b, c = (vertices[triangles[:, i]] for i in range(3))

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from shapeforge.collection.shape import Shape
 from shapeforge.collection.surface import closest_points
+from shapeforge.synthesis.cleaning import neighbours
 from shapeforge.synthesis.embedded import DeformationGraph, build_graph
 from shapeforge.synthesis.measures import PartQuality
 from shapeforge.synthesis.parts import cut_mesh, cut_part
@@ -70,6 +71,11 @@ class SourcePart:
     def rows(self) -> csr_array:
         """Basis (V, 4N) of the vertices in ``graph``."""
         return self.graph.basis(self.vertices)
+
+    @cached_property
+    def neighbours(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs of triangles with a common edge."""
+        return neighbours(self.vertices, self.triangles)[:2]
 
     @cached_property
     def handle_rows(self) -> csr_array:
