@@ -100,7 +100,7 @@ def sources_of(project: Project) -> Any:
 
     return make_sources(
         names, lambda t: project.shapes.named(names[t]), FittedLabels(project, names), positions,
-        hierarchy.top.label, tuple(hierarchy.top.part_names),
+        hierarchy.top.label, tuple(hierarchy.top.part_names), project.labelled,
     )  # fmt: skip
 
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from shapeforge.synthesis.bending import BentPart, bend, start_part
+from shapeforge.synthesis.bending import BentPart, bend, count_folds, start_part
 from shapeforge.synthesis.contacts import carry_along, choose_contacts, contact_gaps, hold_contacts, join_islands
-from shapeforge.synthesis.measures import inverted_triangles, symmetry_error
+from shapeforge.synthesis.measures import symmetry_error
 from shapeforge.synthesis.retrieve import retrieve
 from shapeforge.synthesis.sources import Sources
 from shapeforge.synthesis.surfaces import good_triangles
@@ -78,7 +78,7 @@ def _merge(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]], source
         triangles.append((piece.source.triangles[keep] + count).astype(np.int32))
         part.append(np.full(int(keep.sum()), l, np.int32))
         count += len(moved)
-        folds += inverted_triangles(piece.source.rows @ piece.start, moved, piece.source.triangles)
+        folds += count_folds(piece, piece.x)
         known = np.isfinite(piece.drawn).all(axis=1)
         miss.append(np.linalg.norm(piece.source.handle_rows[known] @ piece.x - piece.drawn[known], axis=1))
     names = sources.part_names

@@ -11,7 +11,8 @@ from scipy.sparse import vstack
 from scipy.spatial import cKDTree
 
 from shapeforge.collection.shape import Mesh
-from shapeforge.synthesis.embedded import Problem, even_strength, pre_align, solve_exactly, solve_quickly
+from shapeforge.synthesis.embedded import Problem, Weights, even_strength, pre_align, solve_exactly, solve_quickly
+from shapeforge.synthesis.measures import inverted_triangles
 from shapeforge.synthesis.sources import Anchors, SourcePart
 from shapeforge.synthesis.surfaces import as_mesh
 
@@ -19,6 +20,8 @@ ANCHOR_STRENGTH = 20.0
 """Weight of an anchor, in constraints per node: a contact outweighs the drawn points around it."""
 OWN_MAP = 24
 """A piece with at least so many handles is pre-aligned by itself: four legs spread without growing fat."""
+STIFFER = (1.0, 4.0, 16.0)
+"""Factors of the regular term to try in turn while the bent part has folds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +75,10 @@ def start_part(source: SourcePart, points: Float[np.ndarray, "K 3"]) -> BentPart
 
 
 def bend(part: BentPart, held: Mapping[int, np.ndarray], *, preview: bool) -> BentPart:
-    """The part bent to its targets and to ``held`` (vertex -> position wanted by a contact)."""
+    """The part bent to its targets and to ``held`` (vertex -> position wanted by a contact).
+
+    Thin plates fold where noisy targets pull their sides apart; what folds is bent again, stiffer (not in previews).
+    """
     source = part.source
     known = np.isfinite(part.targets).all(axis=1)
     rows, targets = [source.handle_rows[known]], [part.targets[known]]
@@ -82,10 +88,25 @@ def bend(part: BentPart, held: Mapping[int, np.ndarray], *, preview: bool) -> Be
         rows.append(source.rows[vertices])
         targets.append(np.stack([held[v] for v in held]))
         strength.append(np.full(len(held), ANCHOR_STRENGTH))
-    problem = Problem(
-        source.graph, vstack(rows, format="csr"), np.concatenate(targets), np.concatenate(strength), part.rest
-    )
-    x = part.x
-    for state in (solve_quickly if preview else solve_exactly)(problem, x):
-        x = state.x
-    return replace(part, x=x)
+    matrix = vstack(rows, format="csr")
+    fewest, best = np.inf, part.x
+    for factor in STIFFER[:1] if preview else STIFFER:
+        weights = Weights(regular=factor * Weights.regular)
+        problem = Problem(
+            source.graph, matrix, np.concatenate(targets), np.concatenate(strength), part.rest, weights
+        )  # fmt: skip
+        x = part.x
+        for state in (solve_quickly if preview else solve_exactly)(problem, x):
+            x = state.x
+        folds = 0 if preview else count_folds(part, x)
+        if folds < fewest:
+            fewest, best = folds, x
+        if fewest == 0:
+            break
+    return replace(part, x=best)
+
+
+def count_folds(part: BentPart, x: Float[np.ndarray, "M 3"]) -> int:
+    """Folds of the part bent by the unknowns ``x``, beyond those of its mesh (see :func:`inverted_triangles`)."""
+    source = part.source
+    return inverted_triangles(source.rows @ part.start, source.rows @ x, source.triangles, source.neighbours)

@@ -5,19 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from shapeforge.collection.shape import Mesh
 from shapeforge.collection.surface import closest_points
-from shapeforge.synthesis.surfaces import WELD, as_mesh, vertex_components
+from shapeforge.synthesis.cleaning import neighbours
+from shapeforge.synthesis.surfaces import WELD, vertex_components
 
 RAGGED = 0.006
 UNEXPLAINED = 0.2
 FAR = 0.05
 MISPLACED = 0.03
+MENDED = 0.4
+HOLES = 4.0
 FEWEST_TRIANGLES = 8
 CONTACT_REACH = 0.06
 """A part holds on if it touches within this distance (diagonals) of its anchors."""
@@ -27,15 +30,19 @@ CONTACT_REACH = 0.06
 class PartQuality:
     """What makes a training part unfit: few triangles, a jagged border, surface without or points far from surface.
 
-    ``raggedness`` is the length (diagonals) that smoothing takes from a border edge (see :func:`raggedness`);
-    ``unexplained`` the share of the part's vertices farther than .05 diagonals plus three spacings from all its points;
-    ``misplaced`` the mean distance (diagonals) from those points to the part's surface.
+    ``raggedness`` is the length (diagonals) that smoothing takes from a border edge (see :func:`raggedness`), of the
+    part as it was cut; ``unexplained`` the share of the part's vertices farther than .05 diagonals plus three spacings
+    from all its points; ``misplaced`` the mean distance (diagonals) from those points to the part's surface;
+    ``mended`` the share of the part's area, before or after, that cleaning took away or added (specks, islands);
+    ``holes`` the length (diagonals) of cuts through closed surface that no lid closes.
     """
 
     n_triangles: int
     raggedness: float
     unexplained: float
     misplaced: float
+    mended: float = 0.0
+    holes: float = 0.0
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -49,33 +56,37 @@ class PartQuality:
             found.append(f"surface without corresponding points ({self.unexplained:.0%})")
         if self.misplaced > MISPLACED:
             found.append(f"corresponding points off the part ({self.misplaced:.3f})")
+        if self.mended > MENDED:
+            found.append(f"uncertain faces ({self.mended:.0%} reassigned)")
+        if self.holes > HOLES:
+            found.append(f"cut open ({self.holes:.2f})")
         return tuple(found)
 
     @property
     def badness(self) -> float:
         """0 for a part without problems, more the worse it is: to choose among bad ones."""
+        few = max(0.0, FEWEST_TRIANGLES - self.n_triangles) / FEWEST_TRIANGLES
+        return few + sum(max(0.0, share - 1) for share in self._shares)
+
+    @property
+    def blemish(self) -> float:
+        """0 for a flawless part, about 1 per problem: to choose among good ones."""
+        return float(sum(min(share, 1.0) for share in self._shares))
+
+    @property
+    def _shares(self) -> tuple[float, ...]:
+        """Each measure as a share of what is bearable."""
         return (
-            max(0.0, FEWEST_TRIANGLES - self.n_triangles) / FEWEST_TRIANGLES
-            + max(0.0, self.raggedness / RAGGED - 1)
-            + max(0.0, self.unexplained / UNEXPLAINED - 1)
-            + max(0.0, self.misplaced / MISPLACED - 1)
-        )
+            self.raggedness / RAGGED, self.unexplained / UNEXPLAINED, self.misplaced / MISPLACED,
+            self.mended / MENDED, self.holes / HOLES,
+        )  # fmt: skip
 
 
-def part_quality(
-    mesh: Mesh,
-    label: Int[np.ndarray, " N"],
-    part: int,
-    vertices: Float[np.ndarray, "V 3"],
-    triangles: Int[np.ndarray, "M 3"],
-    handles: Float[np.ndarray, "C 3"],
-) -> PartQuality:
-    """Quality of part ``part`` of a mesh with a label per triangle; the three last arguments are the part's."""
-    nearest = cKDTree(handles).query(handles, k=min(2, len(handles)))[0].reshape(len(handles), -1)[:, -1]
-    spacing = float(np.median(nearest))
-    unexplained = float((cKDTree(handles).query(vertices)[0] > FAR + 3 * spacing).mean())
-    misplaced = float(closest_points(as_mesh(vertices, triangles), handles)[2].mean())
-    return PartQuality(int((label == part).sum()), raggedness(mesh, label, part), unexplained, misplaced)
+def far_from(handles: Float[np.ndarray, "C 3"], points: Float[np.ndarray, "P 3"]) -> Bool[np.ndarray, " P"]:
+    """Which points lie so far from all handles that those say nothing about them."""
+    tree = cKDTree(handles)
+    nearest = tree.query(handles, k=min(2, len(handles)))[0].reshape(len(handles), -1)[:, -1]
+    return tree.query(points)[0] > FAR + 3 * float(np.median(nearest))
 
 
 def raggedness(mesh: Mesh, label: Int[np.ndarray, " N"], part: int, *, rounds: int = 12) -> float:
@@ -157,16 +168,15 @@ def symmetry_error(points: Float[np.ndarray, "P 3"]) -> float:
 
 
 def inverted_triangles(
-    rest: Float[np.ndarray, "V 3"], bent: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"]
-) -> int:
+    rest: Float[np.ndarray, "V 3"], bent: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"],
+    pairs: tuple[np.ndarray, np.ndarray] | None = None,
+) -> int:  # fmt: skip
     """Folds that bending made: pairs of neighbours that faced alike at rest (within 60 degrees) and now are opposed.
 
-    ``rest`` should hold the vertices after the affine part of the deformation, which folds nothing.
+    ``rest`` should hold the vertices after the affine part of the deformation, which folds nothing;
+    ``pairs`` are the pairs of triangles with a common edge, where they are known already.
     """
-    corners = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1), axis=2).reshape(-1, 2)
-    order = np.lexsort(corners.T)
-    same = (np.diff(corners[order], axis=0) == 0).all(axis=1)
-    first, second = order[:-1][same] // 3, order[1:][same] // 3
+    first, second = neighbours(rest, triangles)[:2] if pairs is None else pairs
     turn = []
     for vertices in (rest, bent):
         a, b, c = (vertices[triangles[:, i]] for i in range(3))

@@ -13,6 +13,8 @@ MEASURES = ("position", "translation", "affine")
 CANDIDATES = 8
 SWITCH = 0.006
 """Cost (mean distance, diagonals) of taking neighbouring parts from different shapes."""
+BLEMISH = 0.006
+"""Cost (mean distance, diagonals) of a part as flawed as is bearable in one respect (see ``PartQuality.blemish``)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +104,8 @@ def retrieve(
     """The training shape for every part of a draw: near points, usable faces, neighbours from one shape if close.
 
     Each part keeps its ``candidates`` nearest usable training parts (ragged, tiny or unexplained ones are passed over);
-    then the sum of distances plus ``switch`` per touching pair from different shapes is lowered part by part from
-    several starts.  Mirrored parts come from one shape.
+    then the sum of distances, BLEMISH times the parts' flaws and ``switch`` per touching pair from different shapes is
+    lowered part by part from several starts.  Mirrored parts come from one shape.
     """
     n_parts, partners = sources.n_parts, mirror_partners(sources)
     tied = _tied(n_parts, partners, exists)
@@ -117,6 +119,10 @@ def retrieve(
         for g in np.unique(tied[exists])
     }
     choices = {g: found for g, found in choices.items() if len(found)}
+    for g, found in choices.items():
+        for t in found:
+            read = [sources.part_of(t, int(l)) for l in np.flatnonzero((tied == g) & exists)]
+            together[g, t] += BLEMISH * sum(p.quality.blemish for p in read if p is not None)
     chosen = _choose(choices, together, tied, exists, sources.touching, switch)
     shape = np.array([chosen.get(int(tied[l]), -1) if exists[l] else -1 for l in range(n_parts)])
     distance = np.array([cost[l, shape[l]] if shape[l] >= 0 else np.inf for l in range(n_parts)])

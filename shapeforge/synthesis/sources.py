@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -15,22 +15,14 @@ from scipy.spatial import cKDTree
 
 from shapeforge.collection.shape import Shape
 from shapeforge.collection.surface import closest_points
+from shapeforge.synthesis.cleaning import neighbours
 from shapeforge.synthesis.embedded import DeformationGraph, build_graph
-from shapeforge.synthesis.measures import PartQuality, part_quality
-from shapeforge.synthesis.surfaces import (
-    as_mesh,
-    cut_out,
-    farthest_points,
-    subdivide_long_edges,
-    touching_pieces,
-)
+from shapeforge.synthesis.measures import PartQuality
+from shapeforge.synthesis.parts import cut_mesh, cut_part
+from shapeforge.synthesis.surfaces import as_mesh, farthest_points, touching_pieces
 
 FEWEST_POINTS = 6
 """Corresponding points that a part needs on a shape, or it counts as absent there."""
-EDGE_LENGTH = 0.05
-"""Longest edge (diagonals) left in a part before it is bent."""
-TRIANGLE_LIMIT = 12_000
-"""Edges of a part are split only while it keeps at most so many triangles."""
 CONTACT = 0.01
 """Surface of another part nearer than this (diagonals) counts as touching ..."""
 NEAR_CONTACT = 0.015
@@ -81,6 +73,11 @@ class SourcePart:
         return self.graph.basis(self.vertices)
 
     @cached_property
+    def neighbours(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs of triangles with a common edge."""
+        return neighbours(self.vertices, self.triangles)[:2]
+
+    @cached_property
     def handle_rows(self) -> csr_array:
         """Basis (C, 4N) of the handles in ``graph``."""
         return self.graph.basis(self.handles)
@@ -102,6 +99,7 @@ class Sources:
     touching: Float[np.ndarray, "L L"]
     get_shape: Callable[[int], Shape]
     face_labels: Sequence[np.ndarray]
+    painted: frozenset[str] = frozenset()
     keep: int = 64
     _cache: OrderedDict = field(default_factory=OrderedDict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
@@ -118,8 +116,9 @@ class Sources:
                 self._cache.move_to_end(index)
                 return self._cache[index]
         parts = read_parts(
-            self.get_shape(index), np.asarray(self.face_labels[index]), self.positions[index], self.part, self.n_parts
-        )
+            self.get_shape(index), np.asarray(self.face_labels[index]), self.positions[index], self.part, self.n_parts,
+            painted=self.names[index] in self.painted,
+        )  # fmt: skip
         with self._lock:
             self._cache[index] = parts
             while len(self._cache) > self.keep:
@@ -138,10 +137,12 @@ def make_sources(
     positions: Float[np.ndarray, "T K 3"],
     part: Int[np.ndarray, " K"],
     part_names: Sequence[str],
+    painted: Collection[str] = (),
 ) -> Sources:
     """Sources of T training shapes.  Only the corresponding points are looked at now; meshes are read on demand.
 
     ``get_shape(i)`` and ``face_labels[i]`` ((n_faces,) part index, -1 unlabelled) may be as lazy as they like.
+    The labels of the ``painted`` shapes are taken at their word, those of the others are tidied.
     """
     if positions.ndim != 3 or positions.shape[:2] != (len(names), len(part)):
         raise ValueError(
@@ -154,7 +155,9 @@ def make_sources(
     present = np.isfinite(positions).all(axis=2)
     exists = np.stack([present[:, part == l].sum(axis=1) >= FEWEST_POINTS for l in range(n_parts)], axis=1)
     touching = _touching(positions, present & exists[:, part], part, n_parts)
-    return Sources(tuple(names), positions, exists, part, tuple(part_names), touching, get_shape, face_labels)
+    return Sources(
+        tuple(names), positions, exists, part, tuple(part_names), touching, get_shape, face_labels, frozenset(painted)
+    )
 
 
 def _touching(
@@ -189,27 +192,27 @@ def read_parts(
     positions: Float[np.ndarray, "K 3"],
     part: Int[np.ndarray, " K"],
     n_parts: int,
+    *,
+    painted: bool = False,
 ) -> dict[int, SourcePart]:
-    """Every part of a shape: faces cut from the mesh by label and refined, graph, handles, quality, anchors."""
+    """Every part of a shape: cut from the mesh by label, cleanly, with handles, quality and anchors."""
     mesh = shape.mesh
     if len(faces) != mesh.n_faces:
         raise ValueError(
             f"faces: wanted one label per face record of {shape.name} ({mesh.n_faces}), got {len(faces)}. "
             "Do the labels belong to another version of the mesh?"
         )
-    label = faces[mesh.face_of_triangle]
+    cut = cut_mesh(mesh, faces[mesh.face_of_triangle], np.asarray(positions, float), part, n_parts, painted=painted)
     found: dict[int, SourcePart] = {}
     for l in range(n_parts):
         template = np.flatnonzero((part == l) & np.isfinite(positions).all(axis=1))
-        coarse_vertices, coarse = cut_out(mesh.vertices, mesh.triangles, label == l)
-        if len(coarse) == 0 or len(template) == 0:
+        if not (cut.label == l).any() or len(template) == 0:
             continue
-        vertices, triangles = subdivide_long_edges(coarse_vertices, coarse, length=EDGE_LENGTH, limit=TRIANGLE_LIMIT)
         handles = np.asarray(positions[template], float)
+        vertices, triangles, quality = cut_part(cut, l, handles)
         found[l] = SourcePart(
-            shape.name, l, vertices, triangles, touching_pieces(vertices, triangles), template, handles,
-            part_quality(mesh, label, l, vertices, triangles, handles),
-        )  # fmt: skip
+            shape.name, l, vertices, triangles, touching_pieces(vertices, triangles), template, handles, quality
+        )
     anchors = _find_anchors(found)
     return {l: replace(source, anchors=anchors[l]) for l, source in found.items()}
 

@@ -22,10 +22,14 @@ def cut_out(vertices: Vertices, triangles: Triangles, chosen: Bool[np.ndarray, "
     Triangles that have no area, or that repeat another one, are dropped.
     """
     used, corners = np.unique(triangles[chosen], return_inverse=True)
-    positions = vertices[used]
-    cells = np.round(positions / WELD).astype(np.int64)
-    _, first, weld = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    return drop_bad(positions[first], weld.reshape(-1)[corners.reshape(-1, 3)])
+    return drop_bad(*weld(vertices[used], corners.reshape(-1, 3)))
+
+
+def weld(vertices: Vertices, triangles: Triangles) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices of which none coincide (within 1e-6), and the same triangles (N, 3) in their numbers."""
+    cells = np.round(vertices / WELD).astype(np.int64)
+    _, first, place = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    return vertices[first], place.reshape(-1)[triangles]
 
 
 def drop_bad(vertices: Vertices, triangles: Triangles, area: float = 1e-12) -> tuple[np.ndarray, np.ndarray]:
@@ -54,32 +58,50 @@ def subdivide_long_edges(
 
     Both triangles of an edge are split alike, so no cracks open; a coarse box can then bend.
     """
+    return refine(vertices, triangles, length=length, limit=limit)[:2]
+
+
+def refine(
+    vertices: Vertices, triangles: Triangles, *, length: float, limit: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """:func:`subdivide_long_edges`, and which of the given triangles each result (N,) is a piece of."""
     vertices, triangles = np.asarray(vertices, float), np.asarray(triangles, np.int64)
+    parent = np.arange(len(triangles))
     while len(triangles):
-        sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
-        edges, edge_of_side = np.unique(sides, axis=0, return_inverse=True)
+        edges, edge_of_side = sides_of(triangles)
         long = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1) > length
-        count = long[edge_of_side.reshape(-1)].reshape(-1, 3).sum(axis=1)
+        count = long[edge_of_side].reshape(-1, 3).sum(axis=1)
         if not long.any() or len(triangles) + count.sum() > limit:
             break
         middle = np.full(len(edges), -1)
         middle[long] = len(vertices) + np.arange(long.sum())
         vertices = np.concatenate([vertices, vertices[edges[long]].mean(axis=1)])
-        triangles = _split(vertices, triangles, middle[edge_of_side.reshape(-1)].reshape(-1, 3))
-    return vertices, triangles.astype(np.int32)
+        triangles, piece_of = _split(vertices, triangles, middle[edge_of_side].reshape(-1, 3))
+        parent = parent[piece_of]
+    return vertices, triangles.astype(np.int32), parent
 
 
-def _split(vertices: np.ndarray, triangles: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Triangles (N, 3) with a new vertex on side i (corner i to i+1) where ``middle[:, i]`` >= 0."""
+def sides_of(triangles: Triangles) -> tuple[np.ndarray, np.ndarray]:
+    """Every edge once, (E, 2) with the smaller vertex first, and the edge of each side (3N,); side i: corner i, i+1."""
+    sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    sides = sides.astype(np.int64)
+    base = int(sides.max()) + 1 if len(sides) else 1
+    code, edge_of_side = np.unique(sides[:, 0] * base + sides[:, 1], return_inverse=True)
+    return np.stack([code // base, code % base], axis=1), edge_of_side.reshape(-1)
+
+
+def _split(vertices: np.ndarray, triangles: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles (N, 3) with a new vertex on side i (corner i to i+1) where ``middle[:, i]`` >= 0, and their origin."""
     split = middle >= 0
     count = split.sum(axis=1)
-    pieces = [triangles[count == 0]]
+    row = [np.flatnonzero(count == n) for n in range(4)]
+    pieces, origin = [triangles[row[0]]], [row[0]]
     # Turn each triangle so that the pattern of split sides is (0), (0, 1) or (0, 1, 2).
     turn = np.where(count == 1, split.argmax(axis=1), np.where(count == 2, ((~split).argmax(axis=1) + 1) % 3, 0))
     columns = (turn[:, None] + np.arange(3)) % 3
     t, m = np.take_along_axis(triangles, columns, axis=1), np.take_along_axis(middle, columns, axis=1)
-    one, two, three = t[count == 1], t[count == 2], t[count == 3]
-    m1, m2, m3 = m[count == 1], m[count == 2], m[count == 3]
+    one, two, three = t[row[1]], t[row[2]], t[row[3]]
+    m1, m2, m3 = m[row[1]], m[row[2]], m[row[3]]
     pieces += [np.stack([one[:, 0], m1[:, 0], one[:, 2]], 1), np.stack([m1[:, 0], one[:, 1], one[:, 2]], 1)]
     pieces += [np.stack([m2[:, 0], two[:, 1], m2[:, 1]], 1)]
     # The rest of a twice split triangle is a quad; cut it along its shorter diagonal.
@@ -90,7 +112,8 @@ def _split(vertices: np.ndarray, triangles: np.ndarray, middle: np.ndarray) -> n
     pieces += [np.stack([s[:, 0], ms[:, 0], ms[:, 1]], 1), np.stack([s[:, 0], ms[:, 1], s[:, 2]], 1)]
     pieces += [np.stack([mr[:, 0], mr[:, 1], r[:, 2]], 1), np.stack([r[:, 0], mr[:, 0], r[:, 2]], 1)]
     pieces += [np.stack([three[:, i], m3[:, i], m3[:, i - 1]], 1) for i in range(3)] + [m3]
-    return np.concatenate(pieces)
+    origin += [row[1]] * 2 + [row[2]] + [row[2][shorter]] * 2 + [row[2][~shorter]] * 2 + [row[3]] * 4
+    return np.concatenate(pieces), np.concatenate(origin)
 
 
 def as_mesh(vertices: Vertices, triangles: Triangles) -> Mesh:

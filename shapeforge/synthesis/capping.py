@@ -1,0 +1,77 @@
+"""Lids on what cutting opened: a part sawn out of a closed surface gets the faces that the saw left."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Int
+
+from shapeforge.collection.meshes import triangulate_records
+from shapeforge.synthesis.cleaning import components, neighbours
+from shapeforge.synthesis.surfaces import Triangles, Vertices, sides_of
+
+OPEN = 0.02
+"""A component counts as closed with at most this share of its edges open."""
+FLAT = 0.3
+"""A lid's corners lie within this share of its width of a plane: the saw cut straight, more or less."""
+
+
+def closed_components(triangles: Triangles) -> tuple[Bool[np.ndarray, " E"], Bool[np.ndarray, " N"]]:
+    """Which edges (of :func:`sides_of`) have two triangles or more, and which triangles are of a closed component."""
+    edges, edge_of_side = sides_of(triangles)
+    joined = np.bincount(edge_of_side, minlength=len(edges)) > 1
+    first, second, _ = neighbours(np.zeros((int(triangles.max()) + 1 if len(triangles) else 0, 3)), triangles)
+    component = components(len(triangles), first, second)
+    n_open = np.bincount(component, (~joined)[edge_of_side].reshape(-1, 3).sum(axis=1))
+    closed = n_open <= OPEN * 1.5 * np.bincount(component)  # a closed surface has 1.5 edges a triangle
+    return joined, closed[component]
+
+
+def cap(vertices: Vertices, triangles: Triangles, chosen: Bool[np.ndarray, " N"]) -> tuple[np.ndarray, float]:
+    """Triangles (M, 3) that close the chosen ones where the rest of a closed surface was cut off, and the length
+    (units of the vertices) of such cuts that stay open: they do not close, or lie in no plane.
+    """
+    if not chosen.any() or chosen.all():
+        return np.zeros((0, 3), np.int32), 0.0
+    edges, edge_of_side = sides_of(triangles)
+    joined, closed = closed_components(triangles)
+    own = np.bincount(edge_of_side, np.repeat(chosen, 3), len(edges))
+    cut = (joined & (own == 1))[edge_of_side] & np.repeat(chosen, 3)
+    starts, ends = triangles.ravel()[cut], np.roll(triangles, -1, axis=1).ravel()[cut]
+    hollow = np.repeat(closed, 3)[cut]
+    length = np.linalg.norm(vertices[starts] - vertices[ends], axis=1)[hollow]
+    lids = [loop for loop in _loops(ends[hollow], starts[hollow]) if _is_flat(vertices[loop])]
+    if not lids:
+        return np.zeros((0, 3), np.int32), float(length.sum())
+    made, _ = triangulate_records(vertices, np.concatenate(lids), np.array([len(lid) for lid in lids]))
+    around = sum(float(np.linalg.norm(vertices[lid] - vertices[np.roll(lid, 1)], axis=1).sum()) for lid in lids)
+    return made, max(float(length.sum()) - around, 0.0)
+
+
+def _loops(starts: Int[np.ndarray, " E"], ends: Int[np.ndarray, " E"]) -> list[np.ndarray]:
+    """Closed loops of the directed edges, each vertex once; where loops touch they part at the touching vertex."""
+    following: dict[int, list[int]] = {}
+    for a, b in zip(starts.tolist(), ends.tolist(), strict=True):
+        following.setdefault(a, []).append(b)
+    found = []
+    for first in list(following):
+        while following.get(first):
+            path, place = [first], {first: 0}
+            while following.get(path[-1]):
+                after = following[path[-1]].pop()
+                if after in place:
+                    loop = path[place[after] :]
+                    for vertex in loop[1:]:
+                        del place[vertex]
+                    del path[place[after] + 1 :]
+                    if len(loop) >= 3:
+                        found.append(np.array(loop))
+                else:
+                    place[after] = len(path)
+                    path.append(after)
+    return found
+
+
+def _is_flat(points: np.ndarray) -> bool:
+    """The points lie near a plane, and are not all on a line."""
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / np.sqrt(len(points))
+    return bool(spread[1] > 1e-6 and spread[2] <= FLAT * spread[1])
