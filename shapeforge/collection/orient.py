@@ -78,11 +78,22 @@ def orient(mesh: Mesh, up: str) -> tuple[Float[np.ndarray, "3 3"], str]:
     if surface is None:
         return np.eye(3), "y is up"
     best = poses(surface)[0]
-    if best.name == "+y":
-        return np.eye(3), "y is up"
-    if best.name:
-        return best.rotation.copy(), f"turned: {best.name} seems to be up in the file"
-    return best.rotation, f"turned: no axis of the file seems to be up ({_in_words(best.up)} is)"
+    return best.rotation.copy(), describe_turn(best.rotation)
+
+
+def describe_turn(rotation: Float[np.ndarray, "3 3"]) -> str:
+    """What a reader should know of a file turned by ``rotation`` (3, 3)."""
+    up = rotation[1]
+    name = _axis_name(up)
+    if not name:
+        nearest = min(TURNS, key=lambda axis: angle_between(up, TURNS[axis][1]))
+        angle = angle_between(up, TURNS[nearest][1])
+        return f"turned: {nearest} of the file seems to be up, tilted by {angle:.0f} degrees"
+    if name != "+y":
+        return f"turned: {name} seems to be up in the file"
+    if turning_angle(rotation) < NEARLY:
+        return "y is up"
+    return f"turned about the vertical by {turning_angle(rotation):.0f} degrees, to face as the others do"
 
 
 def poses(surface: Surface, *, file_axes: bool = True) -> list[Pose]:
@@ -120,7 +131,7 @@ def upright(up: Float[np.ndarray, " 3"], surface: Surface) -> Float[np.ndarray, 
 
 
 def _square(surface: Surface) -> bool:
-    """Whether the shape is square with its axes: some of it faces along one, is mirrored across one or stands on one."""
+    """Whether the shape is square with the axes: faces along one, is mirrored across one, or can stand on one."""
     natural = [axis for frame, _ in surface.frames for axis in frame]
     natural += [plane.normal for plane in surface.mirrors if plane.error < GOOD_MIRROR]
     natural += [up for up, _ in supports(surface.hull)]
@@ -148,9 +159,3 @@ def _axis_name(direction: np.ndarray) -> str:
         if angle_between(direction, TURNS[name][1]) < NEARLY:
             return name
     return ""
-
-
-def _in_words(direction: np.ndarray) -> str:
-    """A direction for a reader: its angle from the nearest axis."""
-    nearest = min(TURNS, key=lambda name: angle_between(direction, TURNS[name][1]))
-    return f"{angle_between(direction, TURNS[nearest][1]):.0f}° from {nearest}"

@@ -154,9 +154,7 @@ class Reflections:
         return Mirror(normal, offset, error)
 
 
-def mirror_planes(
-    reflections: Reflections, hints: Float[np.ndarray, "h 3"], *, count: int = 5
-) -> list[Mirror]:
+def mirror_planes(reflections: Reflections, hints: Float[np.ndarray, "h 3"], *, count: int = 5) -> list[Mirror]:
     """The ``count`` best mirror planes in any direction, best first, from directions all round and the ``hints``.
 
     Planes start through the mean of the points; refining moves them.

@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull
 
 from shapeforge.collection.align import thinned
 from shapeforge.collection.directions import angle_between, convex_hull, facing_frames, supports
-from shapeforge.collection.shape import Mesh
+from shapeforge.collection.shape import Mesh, Shape
 from shapeforge.collection.symmetry import Mirror, Reflections, mirror_planes
 
 ONE_DIRECTION = 2.0  # degrees: candidates nearer than this are one
@@ -62,6 +62,13 @@ def surface_of_mesh(mesh: Mesh) -> Surface | None:
     if len(points) == 0:
         return None
     return make_surface(points, normals, mesh.vertices[np.unique(mesh.triangles)])
+
+
+def surface_of_shape(shape: Shape) -> Surface | None:
+    """The surface of a prepared shape in its file's axes (not its units)."""
+    back = shape.frame.rotation
+    vertices = shape.mesh.vertices[np.unique(shape.mesh.triangles)]
+    return make_surface(shape.points @ back, shape.normals @ back, vertices @ back)
 
 
 def make_surface(

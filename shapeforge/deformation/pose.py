@@ -114,18 +114,18 @@ def agree(family: Sequence[Turns]) -> list[Float[np.ndarray, " c"]]:
 
 
 def chosen_rotations(
-    family: Sequence[Turns], probabilities: Sequence[Float[np.ndarray, " c"]]
+    family: Sequence[Turns], probabilities: Sequence[Float[np.ndarray, " c"]], *, standing: bool = False
 ) -> list[Float[np.ndarray, "3 3"]]:
     """The most probable rotation (3, 3) of every shape.
 
     Which way a whole family faces is a convention, so all are turned about the vertical together such that most of the
-    files that are y up stay as they are.
+    files that are y up stay as they are; not where some shapes are ``standing``, whose convention it then is.
     """
     habit = np.zeros(4)
     for turns, probability in zip(family, probabilities, strict=True):
         known = turns.quarter >= 0
         np.add.at(habit, turns.quarter[known], probability[known])
-    back = QUARTERS[int(habit.argmax())].T
+    back = np.eye(3) if standing else QUARTERS[int(habit.argmax())].T
     best = [turns.rotations[int(p.argmax())] for turns, p in zip(family, probabilities, strict=True)]
     return [back @ rotation for rotation in best]
 
