@@ -73,7 +73,7 @@ def settled_turn(surface: Surface, rotation: Float[np.ndarray, "3 3"]) -> Turns:
     return Turns(rotation[None], np.zeros(1), _described(surface, rotation[None]), quarter)
 
 
-def agree(family: Sequence[Turns]) -> list[Float[np.ndarray, " c"]]:
+def agree(family: Sequence[Turns]) -> list[Float[np.ndarray, " _"]]:
     """Probabilities (c,) of the rotations of every shape, after each has listened to the others.
 
     Mean field: a rotation is the more probable the more the shape, so turned, is like other shapes as they probably are
@@ -114,7 +114,7 @@ def agree(family: Sequence[Turns]) -> list[Float[np.ndarray, " c"]]:
 
 
 def chosen_rotations(
-    family: Sequence[Turns], probabilities: Sequence[Float[np.ndarray, " c"]], *, standing: bool = False
+    family: Sequence[Turns], probabilities: Sequence[Float[np.ndarray, " _"]], *, standing: bool = False
 ) -> list[Float[np.ndarray, "3 3"]]:
     """The most probable rotation (3, 3) of every shape.
 
