@@ -14,6 +14,7 @@ import numpy as np
 
 from shapeforge.collection.labels import LABELS_FILE, PartNames
 from shapeforge.stages import Progress, StageError, Task
+from shapeforge.stages_pose import settle_poses
 from shapeforge.store import Problem, Project, key_of
 from shapeforge.store_arrays import copy_file, read_record, write_record
 from shapeforge.store_results import write_names
@@ -80,6 +81,7 @@ def import_meshes(task: Task) -> Iterator[Progress]:
     project.add_shapes(records)
     about = [str(reading.source) for reading in readings] + [problem.file for problem in failed]
     project.set_problems(problems, about)
+    yield from settle_poses(task)
     errors = sum(problem.kind == "error" for problem in problems)
     text = f"{len(project.names)} shapes" + (f", {errors} files not read" if errors else "")
     task.summary |= {
@@ -199,11 +201,9 @@ def _import_one(
         "file": str(copy), "source": source, "sha256": reading.sha256, "key": reading.key,
         "modified": stamp.st_mtime_ns if stamp else 0, "size": stamp.st_size if stamp else 0,
         "n_faces": int(mesh.n_faces), "n_triangles": len(mesh.triangles), "notes": list(shape.notes),
+        "pose": "open" if options["up"] == "auto" else "settled",
     }  # fmt: skip
     warnings = [Problem(source, "warning", doubt) for doubt in doubts]
-    if options["up"] == "auto" and not np.array_equal(shape.frame.rotation, np.eye(3)):
-        remedy = "If that is wrong, import it again with --up keep, x, y or z"
-        warnings.append(Problem(source, "warning", shape.notes[0], remedy))
     return record, warnings, None
 
 

@@ -1,12 +1,22 @@
-"""Which way is up: turning a mesh so that y is up (candidates among the axis rotations, scored)."""
+"""Turning a mesh so that y is up: candidates for its orientation, scored, and what import does with them."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import ConvexHull, QhullError, cKDTree
 
+from shapeforge.collection.directions import angle_between, supports, turning_angle
 from shapeforge.collection.shape import Mesh
+from shapeforge.collection.upright import (
+    GOOD_MIRROR,
+    Surface,
+    log_likelihoods,
+    surface_of_mesh,
+    up_candidates,
+    up_features,
+)
 
 # The rotation that takes each signed axis to +y.  Among the four that do, the one that turns least (and, for z up,
 # keeps x to the right), because only the vertical is decided here, never which way a shape faces.
@@ -21,17 +31,40 @@ TURNS: dict[str, np.ndarray] = {
 CHOICES = ("auto", "x", "y", "z", "keep")
 
 # Files are y up mostly, z up quite often, anything else hardly ever; a wrong turn is worse than none.
-_PRIOR = {"+y": 1.9, "+z": 1.5, "+x": 0.0, "-y": 0.0, "-z": 0.0, "-x": 0.0}
-_WEIGHT = {"stability": 0.6, "horizontal": 4.0, "upright": 2.0, "round": 8.0, "feet": 1.5}
-_N_SAMPLES = 1500
+PRIOR = {"+y": 4.5, "+z": 3.0, "+x": 0.0, "-y": 0.0, "-z": 0.0, "-x": 0.0}
+"""Log-odds of each axis of the file for being up, against a direction that is no axis of the file."""
+ODD_PRIOR = 2.5
+"""Log-odds of y where the shape lies askew in the file, so that the file's axes seem to mean nothing."""
+
+NEARLY = 2.0  # degrees: a direction this near an axis of the file is that axis
+SIDEWAYS = 10.0  # degrees from vertical up to which a mirror plane tells which way a shape faces
+_SIGNS = np.concatenate([np.eye(3), -np.eye(3)])
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A rotation (3, 3) that may put a shape upright, and the log-probability of the direction that it turns up.
+
+    ``name`` is "+y" and so on where that direction is an axis of the file, else empty.  Which way the shape faces then
+    is a guess: the best mirror plane lies across x, or across z where that turns the shape less.
+    """
+
+    rotation: Float[np.ndarray, "3 3"]
+    score: float
+    name: str = ""
+
+    @property
+    def up(self) -> Float[np.ndarray, " 3"]:
+        """The direction (3,) of the file that is turned up."""
+        return self.rotation[1]
 
 
 def orient(mesh: Mesh, up: str) -> tuple[Float[np.ndarray, "3 3"], str]:
     """The proper rotation (3, 3) that makes y the vertical of ``mesh``, and a sentence saying what was done.
 
-    ``up``: "x", "y" or "z" name the axis that is up in the file; "keep" leaves the file as it is; "auto" scores the
-    six signed axes by stability on the ground, horizontal surfaces, mirror symmetry and where the mass is, and turns
-    only when another axis is clearly better than y (then z).  Rotation about the vertical is left alone.
+    ``up``: "x", "y" or "z" name the axis that is up in the file; "keep" leaves the file as it is; "auto" takes the best
+    of ``poses``: mostly the file's own y, another axis or a tilted direction where that is clear.  A turn about the
+    vertical is left alone unless a tilt is taken away.
 
     Raises ValueError when ``up`` is none of these.
     """
@@ -41,88 +74,88 @@ def orient(mesh: Mesh, up: str) -> tuple[Float[np.ndarray, "3 3"], str]:
         return np.eye(3), "orientation kept as in the file"
     if up != "auto":
         return TURNS["+" + up].copy(), "y is up in the file" if up == "y" else f"turned: {up} was up in the file"
-    scores = up_scores(mesh)
-    best = max(scores, key=lambda axis: scores[axis])
-    if best == "+y":
+    surface = surface_of_mesh(mesh)
+    if surface is None:
         return np.eye(3), "y is up"
-    return TURNS[best].copy(), f"turned: {best} seems to be up in the file"
+    best = poses(surface)[0]
+    return best.rotation.copy(), describe_turn(best.rotation)
 
 
-def up_scores(mesh: Mesh) -> dict[str, float]:
-    """Score of each signed axis ("+y", "+z", …) for being the vertical of ``mesh``; the largest is the guess."""
-    points, normals = _spread_samples(mesh, _N_SAMPLES)
-    if len(points) < 10:
-        return dict(_PRIOR)
-    low, high = points.min(axis=0), points.max(axis=0)
-    points = (points - (low + high) / 2) / max(float(np.linalg.norm(high - low)), 1e-300)
-    asymmetry = [_mirror_error(points, axis) for axis in range(3)]
-    scores = {}
-    for name, turn in TURNS.items():
-        axis = "xyz".index(name[1])
-        sideways = (asymmetry[(axis + 1) % 3], asymmetry[(axis + 2) % 3])
-        features = up_features(points @ turn.T, normals @ turn.T, asymmetry[axis], sideways)
-        scores[name] = _PRIOR[name] + float(sum(_WEIGHT[key] * value for key, value in features.items()))
-    return scores
+def describe_turn(rotation: Float[np.ndarray, "3 3"]) -> str:
+    """What a reader should know of a file turned by ``rotation`` (3, 3)."""
+    up = rotation[1]
+    name = _axis_name(up)
+    if not name:
+        nearest = min(TURNS, key=lambda axis: angle_between(up, TURNS[axis][1]))
+        angle = angle_between(up, TURNS[nearest][1])
+        return f"turned: {nearest} of the file seems to be up, tilted by {angle:.0f} degrees"
+    if name != "+y":
+        return f"turned: {name} seems to be up in the file"
+    if turning_angle(rotation) < NEARLY:
+        return "y is up"
+    return f"turned about the vertical by {turning_angle(rotation):.0f} degrees, to face as the others do"
 
 
-def up_features(
-    points: Float[np.ndarray, "n 3"],
-    normals: Float[np.ndarray, "n 3"],
-    asymmetry_vertical: float,
-    asymmetry_sideways: tuple[float, float],
-) -> dict[str, float]:
-    """What speaks for y being up, each roughly in [0, 1], from samples (n, 3) in diagonals and their normals.
+def poses(surface: Surface, *, file_axes: bool = True) -> list[Pose]:
+    """Candidates for the orientation of a shape, most likely first: one for every direction that may be up.
 
-    stability: how far inside its support polygon the centroid stands; horizontal: share of the area that is level;
-    upright: top and bottom differ more than left and right do; round: more than front and back do, too; feet: little
-    surface near the ground.  The asymmetries are mean mirror distances (diagonals).
+    ``file_axes``: the axes of the coordinates are probably those of the file, which mean something (``PRIOR``).
     """
-    height = points[:, 1] - points[:, 1].min()
-    tall = max(float(height.max()), 1e-9)
-    plan = points[:, [0, 2]]
-    ground = plan[height < 0.03 * tall + 0.005]
-    return {
-        "stability": _stability(ground, plan),
-        "horizontal": float((np.abs(normals[:, 1]) > 0.95).mean()),
-        "upright": float(np.clip(asymmetry_vertical - min(asymmetry_sideways), -0.1, 0.1)),
-        "round": float(np.clip(asymmetry_vertical - max(asymmetry_sideways), 0.0, 0.1)),
-        "feet": 1.0 - min(1.0, len(ground) / (0.25 * len(points))),
-    }
+    askew = not _square(surface)
+    ups = up_candidates(surface, _SIGNS[1:2] if askew else _SIGNS)
+    score = log_likelihoods(up_features(surface, ups))
+    names = [_axis_name(up.direction) for up in ups]
+    if file_axes:
+        prior = {"+y": ODD_PRIOR} if askew else PRIOR
+        score = score + [prior.get(name, 0.0) for name in names]
+    score -= np.logaddexp.reduce(score)
+    found = [
+        Pose(TURNS[name] if name else upright(up.direction, surface), float(value), name)
+        for up, name, value in zip(ups, names, score, strict=True)
+    ]
+    return sorted(found, key=lambda pose: -pose.score)
 
 
-def _stability(ground: np.ndarray, plan: np.ndarray) -> float:
-    """Distance of the centroid from the rim of the support polygon, relative to the plan's radius; 0 outside."""
-    if len(ground) < 4:
-        return 0.0
-    try:
-        hull = ConvexHull(ground)
-    except QhullError:  # a line: nothing stands on that
-        return 0.0
-    centre = plan.mean(axis=0)
-    inside = -(hull.equations[:, :2] @ centre + hull.equations[:, 2]).max()
-    radius = max(float(np.ptp(plan, axis=0).min()) / 2, 1e-9)
-    return float(np.clip(inside / radius, 0.0, 1.0))
+def upright(up: Float[np.ndarray, " 3"], surface: Surface) -> Float[np.ndarray, "3 3"]:
+    """The rotation that turns ``up`` (3,) to y and squares the shape with x and z, turning it as little as it can.
+
+    Squared is the best mirror plane that is about vertical, or else the axes along which the surface faces.
+    """
+    for normal in _sideways(up, surface):
+        across = normal - (normal @ up) * up
+        across /= np.linalg.norm(across)
+        deep = np.cross(across, up)
+        turns = [np.stack([x, up, np.cross(x, up)]) for x in (across, -across, deep, -deep)]
+        return min(turns, key=turning_angle)
+    return _least_turn(up)
 
 
-def _mirror_error(points: np.ndarray, axis: int) -> float:
-    """Mean distance (diagonals) between the points and their mirror image along ``axis`` through the box's centre."""
-    mirrored = points.copy()
-    mirrored[:, axis] *= -1
-    distance, _ = cKDTree(points).query(mirrored)
-    return float(distance.mean())
+def _square(surface: Surface) -> bool:
+    """Whether the shape is square with the axes: faces along one, is mirrored across one, or can stand on one."""
+    natural = [axis for frame, _ in surface.frames for axis in frame]
+    natural += [plane.normal for plane in surface.mirrors if plane.error < GOOD_MIRROR]
+    natural += [up for up, _ in supports(surface.hull)]
+    return any(_axis_name(direction) for direction in natural)
 
 
-def _spread_samples(mesh: Mesh, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """About ``count`` points (n, 3) and unit normals, evenly over the area, without randomness (golden-ratio steps)."""
-    areas = mesh.triangle_areas
-    total = float(areas.sum())
-    if not np.isfinite(total) or total <= 0:
-        return np.zeros((0, 3)), np.zeros((0, 3))
-    cumulative = np.cumsum(areas)
-    at = (np.arange(count) + 0.5) / count * cumulative[-1]
-    triangle = np.minimum(np.searchsorted(cumulative, at), len(areas) - 1)
-    first, second = np.arange(count) * 0.7548776662466927 % 1, np.arange(count) * 0.5698402909980532 % 1
-    over = first + second > 1
-    first[over], second[over] = 1 - first[over], 1 - second[over]
-    a, b, c = (mesh.vertices[mesh.triangles[triangle, i]] for i in range(3))
-    return a + first[:, None] * (b - a) + second[:, None] * (c - a), mesh.triangle_normals[triangle]
+def _sideways(up: np.ndarray, surface: Surface) -> list[np.ndarray]:
+    """Directions (3,) about at right angles to ``up`` that tell which way a shape faces, surest first."""
+    level = np.sin(np.radians(SIDEWAYS))
+    found = [plane.normal for plane in surface.mirrors if abs(plane.normal @ up) < level]
+    return found + [axis for frame, _ in surface.frames for axis in frame if abs(axis @ up) < level]
+
+
+def _least_turn(up: np.ndarray) -> np.ndarray:
+    """The rotation that turns the direction ``up`` (3,) to y by the shortest way."""
+    axis, cosine = np.cross(up, [0.0, 1.0, 0.0]), float(up[1])
+    if cosine < -1 + 1e-9:
+        return TURNS["-y"]
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    return np.eye(3) + cross + cross @ cross / (1 + cosine)
+
+
+def _axis_name(direction: np.ndarray) -> str:
+    for name in TURNS:
+        if angle_between(direction, TURNS[name][1]) < NEARLY:
+            return name
+    return ""

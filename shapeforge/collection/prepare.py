@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from jaxtyping import Float
 
 from shapeforge.collection.descriptors import descriptors_from_diameter, shape_diameter
 from shapeforge.collection.meshes import repair_notes
@@ -38,6 +41,24 @@ def prepare_shape(name: str, mesh: Mesh, *, n_points: int = 5000, up: str = "aut
         patch=patch,
         neighbours=patch_neighbours(points, patch),
         notes=(turned, *repair_notes(mesh)),
+    )
+
+
+def turned(shape: Shape, rotation: Float[np.ndarray, "3 3"], note: str) -> Shape:
+    """The same shape, its file turned by ``rotation`` (3, 3) instead; ``note`` replaces the one on how it was turned.
+
+    Samples, neighbours and patches stay. Descriptors do too, though taking a tilt away changes the diagonal and so
+    the radii they were taken at, by a few percent.
+    """
+    mesh = shape.mesh.moved(shape.frame.to_input(shape.mesh.vertices))
+    frame = normal_frame(mesh, rotation)
+    return replace(
+        shape,
+        mesh=mesh.moved(frame.to_normal(mesh.vertices)),
+        frame=frame,
+        points=frame.to_normal(shape.frame.to_input(shape.points)),
+        normals=shape.normals @ shape.frame.rotation @ rotation.T,
+        notes=(note, *shape.notes[1:]),
     )
 
 

@@ -1,12 +1,16 @@
-"""The mirror plane of a shape: the best near-vertical plane that its surface points are symmetric about."""
+"""Mirror planes of a shape: the best near-vertical one, and all good ones of a shape whose up is not known yet."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
+from shapeforge.collection._kernels_align import nearest_both_ways
 from shapeforge.collection.align import thinned
+from shapeforge.collection.directions import half_sphere
 
 FAN = 36  # directions in plan, 5 degrees apart
 REFINED = 4  # best candidates that are refined
@@ -14,6 +18,10 @@ STEEPEST = 0.25  # largest vertical component of the normal: about 14 degrees fr
 KEPT_SHARE = 0.8  # of the pairs, while refining: a fifth of the surface may have no counterpart
 ADVANTAGE = 0.8  # another plane must have an error this much smaller than the one across x: most families face z
 _N_REFLECTED, _N_AGAINST = 300, 2500
+_SPHERE = half_sphere(150)  # directions in space, about 12 degrees apart
+_FEW_REFLECTED, _FEW_AGAINST = 160, 320
+_APART = np.cos(np.radians(14.0))  # candidates nearer than this lead to one plane
+_SAME = np.cos(np.radians(6.0))
 
 
 def symmetry_plane(points: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, " 3"], float, float]:
@@ -71,23 +79,98 @@ def _error(tree: cKDTree, points: np.ndarray, normal: np.ndarray, offset: float)
 def _refined(
     tree: cKDTree, points: np.ndarray, error: float, normal: np.ndarray, offset: float
 ) -> tuple[float, np.ndarray, float]:
-    """The plane after some rounds of closest points; each round is kept only if the error falls.
-
-    For pairs (x, y) the reflection that takes x nearest to y has as normal the eigenvector of least eigenvalue of the
-    symmetric part of their cross-covariance, and passes half-way between the means.
-    """
+    """The plane after some rounds of closest points; each round is kept only if the error falls."""
     for _ in range(12):
         distance, near = tree.query(mirrored(points, normal, offset))
         kept = distance <= np.quantile(distance, KEPT_SHARE)
-        x, y = points[kept], tree.data[near[kept]]
-        cross = (x - x.mean(axis=0)).T @ (y - y.mean(axis=0))
-        _, vectors = np.linalg.eigh((cross + cross.T) / 2)
-        better = vectors[:, 0] * np.sign(vectors[:, 0] @ normal or 1.0)
+        better, through = _reflection(points[kept], tree.data[near[kept]], normal)
         if abs(better[1]) > STEEPEST:
             break
-        through = float(better @ (x.mean(axis=0) + y.mean(axis=0)) / 2)
         lower = _error(tree, points, better, through)
         if lower >= error - 1e-7:
             break
         error, normal, offset = lower, better, through
     return error, normal, offset
+
+
+def _reflection(x: np.ndarray, y: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, float]:
+    """The mirror plane (normal (3,), offset) that takes points x (n, 3) nearest to y (n, 3).
+
+    The normal is the eigenvector of least eigenvalue of the symmetric part of their cross-covariance, on the side of
+    ``normal``; the plane passes half-way between the means.
+    """
+    middle_x, middle_y = x.mean(axis=0), y.mean(axis=0)
+    cross = (x - middle_x).T @ (y - middle_y)
+    _, vectors = np.linalg.eigh((cross + cross.T) / 2)
+    better = vectors[:, 0] * np.sign(vectors[:, 0] @ normal or 1.0)
+    return better, float(better @ (middle_x + middle_y) / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Mirror:
+    """A mirror plane ``normal · x = offset``; ``error`` is the mean gap it leaves, above the spacing of the points."""
+
+    normal: Float[np.ndarray, " 3"]
+    offset: float
+    error: float
+
+
+class Reflections:
+    """Some points of a shape against others of it: how well a mirror image falls onto the shape.
+
+    Brute force in float32: a few hundred points need no tree.  Takes every other point (n, 3) for either side, so that
+    the shape itself does not count as its own mirror image.
+    """
+
+    def __init__(self, points: Float[np.ndarray, "n 3"]) -> None:
+        self.points = thinned(points[1::2], _FEW_REFLECTED)
+        self.against = thinned(points[::2], _FEW_AGAINST)
+        self._fixed = np.ascontiguousarray(self.against.T, np.float32)
+        sizes = len(self.points), len(self.against)
+        self._pairs = [np.empty(size, kind) for size in sizes for kind in (np.int32, np.float32)]
+        self.spacing = float(np.sqrt(self.nearest(self.points)[1]).mean(dtype=np.float64))
+
+    def nearest(self, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Nearest of ``against`` for moved points (n, 3): index (n,) and squared distance (n,); valid until called."""
+        nearest_both_ways(np.ascontiguousarray(moved.T, np.float32), self._fixed, *self._pairs)
+        return self._pairs[0], self._pairs[1]
+
+    def error(self, normal: np.ndarray, offset: float) -> float:
+        """Mean gap between the mirror image and the shape, above the spacing of the points."""
+        squared = self.nearest(mirrored(self.points, normal, offset))[1]
+        return float(np.sqrt(squared).mean(dtype=np.float64)) - self.spacing
+
+    def refined(self, normal: np.ndarray, offset: float) -> Mirror:
+        """The plane after some rounds of closest points; each is kept only if the error falls."""
+        error = self.error(normal, offset)
+        for _ in range(10):
+            near, squared = self.nearest(mirrored(self.points, normal, offset))
+            kept = squared <= np.quantile(squared, KEPT_SHARE)
+            better, through = _reflection(self.points[kept], self.against[near[kept]], normal)
+            lower = self.error(better, through)
+            if lower >= error - 1e-6:
+                break
+            normal, offset, error = better, through, lower
+        return Mirror(normal, offset, error)
+
+
+def mirror_planes(reflections: Reflections, hints: Float[np.ndarray, "h 3"], *, count: int = 5) -> list[Mirror]:
+    """The ``count`` best mirror planes in any direction, best first, from directions all round and the ``hints``.
+
+    Planes start through the mean of the points; refining moves them.
+    """
+    middle = reflections.points.mean(axis=0)
+    directions = np.concatenate([hints, _SPHERE])
+    errors = np.array([reflections.error(normal, float(normal @ middle)) for normal in directions])
+    picked = list(range(len(hints)))
+    for i in np.argsort(errors, kind="stable"):
+        if len(picked) == len(hints) + 8:
+            break
+        if all(abs(directions[i] @ directions[j]) < _APART for j in picked[len(hints) :]):
+            picked.append(int(i))
+    found = [reflections.refined(directions[i], float(directions[i] @ middle)) for i in dict.fromkeys(picked)]
+    distinct: list[Mirror] = []
+    for plane in sorted(found, key=lambda plane: plane.error):
+        if all(abs(plane.normal @ other.normal) < _SAME for other in distinct):
+            distinct.append(plane)
+    return distinct[:count]
