@@ -84,7 +84,7 @@ class Runner:
         """End after the present step; what was recorded stays, a later run goes on from there."""
         self._set("stop")
 
-    def join(self, seconds: float | None = None) -> bool:
+    def join(self, seconds: float | int | None = None) -> bool:
         """Wait for the thread, at most ``seconds``; True when it has ended."""
         thread = self._thread
         if thread is not None:

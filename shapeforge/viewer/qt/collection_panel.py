@@ -71,6 +71,7 @@ class CollectionPlace:
         self.map.lassoed.connect(self._select)
         self.map.opened.connect(self._open)
         self.map.group_clicked.connect(self._show_group)
+        self.pictures.setParent(self.centre)
         self.pictures.arrived.connect(self._pictures_changed)
         self.binding.on(("project", "data", "colour_by"), self._show_all, now=False)
         self.binding.on(("theme",), self._show_all, now=False)

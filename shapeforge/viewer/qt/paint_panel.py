@@ -65,6 +65,7 @@ class PaintPlace:
         self._save_timer.timeout.connect(self._save_between_strokes)
         self._count_timer = QTimer(self.centre, singleShot=True, interval=COUNT_MS)
         self._count_timer.timeout.connect(self._show_counts)
+        self.thumbnails.setParent(self.centre)
         self.thumbnails.arrived.connect(self._show_pictures)
         self.binding.on(("shape",), self._open, now=False)
         self.binding.on(("tool", "mirror", "part", "theme"), self._show_tool, now=False)

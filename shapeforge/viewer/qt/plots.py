@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import pyqtgraph as pg
-from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QVBoxLayout, QWidget
+from PySide6.QtCore import QPointF, QRectF, Qt
+from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF
+from PySide6.QtWidgets import QWidget
 
 from shapeforge.viewer import palette
 from shapeforge.viewer.qt.theme import font
 
 HEIGHT = 128
+LEFT, RIGHT, TOP, BOTTOM = 36, 8, 8, 34
+"""Pixels around the plot: numbers of the value axis, room for the last dot, numbers and name of the other axis."""
+
+Series = tuple[np.ndarray, np.ndarray, str]
 
 
 class Curves(QWidget):
@@ -22,34 +26,17 @@ class Curves(QWidget):
         """``from_zero`` keeps 0 in sight on the value axis."""
         super().__init__()
         self._from_zero = from_zero
-        self._series: list[tuple[np.ndarray, np.ndarray, str]] = []
+        self._series: list[Series] = []
         self._at: float | None = None
         self._last = 10
         self._theme: palette.Theme = "dark"
-        self.plot = pg.PlotWidget(background=None)
-        self.plot.setFixedHeight(height)
-        self.plot.setFrameShape(self.plot.Shape.NoFrame)
-        self.plot.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        self.plot.setStyleSheet("background: transparent;")
-        item = self.plot.getPlotItem()
-        item.hideButtons()
-        item.setMenuEnabled(False)
-        item.setMouseEnabled(False, False)
-        item.layout.setContentsMargins(0, 2, 4, 0)
         self._x_name = x_name
-        for side in ("left", "bottom"):
-            axis = item.getAxis(side)
-            axis.setStyle(tickFont=font(11), tickTextOffset=6, tickLength=0)
-        item.getAxis("left").setWidth(34)
-        item.getAxis("bottom").setHeight(32)
-        box = QVBoxLayout(self)
-        box.setContentsMargins(0, 0, 0, 0)
-        box.addWidget(self.plot)
+        self.setFixedHeight(height)
 
     def set_theme(self, theme: palette.Theme) -> None:
         """Draw in the colours of another theme."""
         self._theme = theme
-        self._draw()
+        self.update()
 
     def set_series(
         self, series: Sequence[tuple[Sequence[float | int], Sequence[float], str]], last: int, at: float | None
@@ -57,53 +44,63 @@ class Curves(QWidget):
         """``series`` are (x, y, "#RRGGBB"); ``last`` is the end of the x axis, ``at`` where the dotted line stands."""
         self._series = [(np.asarray(x, float), np.asarray(y, float), colour) for x, y, colour in series]
         self._last, self._at = max(last, 1), at
-        self._draw()
+        self.update()
 
     @property
     def values(self) -> list[np.ndarray]:
         """The y of every curve shown, for tests."""
         return [y for _, y, _ in self._series]
 
-    def _draw(self) -> None:
+    def paintEvent(self, event: QPaintEvent) -> None:
         tokens = palette.tokens(self._theme)
-        item = self.plot.getPlotItem()
-        item.clear()
-        quiet, line = pg.mkColor(tokens["text_2"]), pg.mkPen(tokens["separator"])
-        for side in ("left", "bottom"):
-            axis = item.getAxis(side)
-            axis.setPen(line)
-            axis.setTextPen(quiet)
-        item.getAxis("left").setPen(pg.mkPen(None))
-        item.setLabel("bottom", self._x_name, **{"color": tokens["text_2"], "font-size": "11px"})
         known = [y[np.isfinite(y)] for _, y, _ in self._series]
         flat = np.concatenate(known) if known else np.zeros(0)
+        ticks = self._ticks(flat)
+        box = QRectF(LEFT, TOP, self.width() - LEFT - RIGHT, self.height() - TOP - BOTTOM)
+
+        def place(x: float | int, y: float | int) -> QPointF:
+            up = (y - ticks[0]) / (ticks[-1] - ticks[0])
+            return QPointF(box.left() + box.width() * x / self._last, box.bottom() - box.height() * up)
+
+        painter = QPainter(self)
+        painter.setFont(font(11))
+        middle, right = Qt.AlignmentFlag.AlignCenter, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
+        for tick in ticks:
+            y = round(place(0, tick).y()) + 0.5  # on whole pixels a thin line is thin
+            painter.setPen(QPen(QColor(tokens["separator"]), 1))
+            painter.drawLine(QPointF(box.left(), y), QPointF(box.right(), y))
+            if len(flat):
+                painter.setPen(QColor(tokens["text_2"]))
+                painter.drawText(QRectF(0, y - 8, LEFT - 8, 16), right, f"{tick:g}".replace("-", "−"))
+        painter.setPen(QColor(tokens["text_2"]))
+        for number in range(0, self._last + 1, max(1, int(np.ceil(self._last / 5)))):
+            painter.drawText(QRectF(place(number, 0).x() - 16, box.bottom() + 4, 32, 14), middle, str(number))
+        painter.drawText(QRectF(box.left(), box.bottom() + 18, box.width(), 14), middle, self._x_name)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        if self._at is not None and len(flat):
+            painter.setPen(QPen(QColor(tokens["text_2"]), 1, Qt.PenStyle.DotLine))
+            x = round(place(self._at, 0).x()) + 0.5
+            painter.drawLine(QPointF(x, box.top()), QPointF(x, box.bottom()))
+        for x, y, colour in self._series:
+            there = np.flatnonzero(np.isfinite(y))
+            if not len(there):
+                continue
+            painter.setPen(QPen(QColor(colour), 1.6))
+            painter.setBrush(Qt.BrushStyle.NoBrush)
+            painter.drawPolyline(QPolygonF([place(float(x[i]), float(y[i])) for i in there]))
+            marked = there[-1] if self._at is None else there[np.abs(x[there] - self._at).argmin()]
+            painter.setPen(Qt.PenStyle.NoPen)
+            painter.setBrush(QColor(colour))
+            painter.drawEllipse(place(float(x[marked]), float(y[marked])), 3.2, 3.2)
+        painter.end()
+
+    def _ticks(self, flat: np.ndarray) -> list[float]:
         low, high = (float(flat.min()), float(flat.max())) if len(flat) else (0.0, 1.0)
         if self._from_zero:
             low = min(low, 0.0)
         if high - low < 1e-9:
             high, low = high + 0.5, low - (0.0 if self._from_zero else 0.5)
-        ticks = nice_ticks(low, high)
-        for tick in ticks:
-            item.addItem(pg.InfiniteLine(tick, angle=0, pen=line))
-        item.getAxis("left").setTicks([[(tick, f"{tick:g}" if len(flat) else "") for tick in ticks]])
-        step = max(1, int(np.ceil(self._last / 5)))
-        item.getAxis("bottom").setTicks([[(i, str(i)) for i in range(0, self._last + 1, step)]])
-        margin = 0.04 * (ticks[-1] - ticks[0])
-        item.setYRange(ticks[0] - margin, ticks[-1] + margin, padding=0)
-        item.setXRange(0, self._last, padding=0.02)
-        if self._at is not None and len(flat):
-            item.addItem(pg.InfiniteLine(self._at, pen=pg.mkPen(tokens["text_2"], style=Qt.PenStyle.DotLine)))
-        for x, y, colour in self._series:
-            there = np.isfinite(y)
-            if there.any():
-                item.plot(x[there], y[there], pen=pg.mkPen(colour, width=1.6), antialias=True)
-                at = np.flatnonzero(there)
-                if self._at is not None:
-                    nearest = at[np.abs(x[at] - self._at).argmin()]
-                    at = np.array([nearest])
-                else:
-                    at = at[-1:]
-                item.plot(x[at], y[at], pen=None, symbol="o", symbolSize=6, symbolPen=None, symbolBrush=colour)
+        return nice_ticks(low, high)
 
 
 def nice_ticks(low: float, high: float, most: int = 4) -> list[float]:

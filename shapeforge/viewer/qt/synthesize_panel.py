@@ -63,6 +63,8 @@ class SynthesizePlace:
         self._build()
         self._preview_timer = QTimer(self.centre, singleShot=True, interval=PREVIEW_MS)
         self._preview_timer.timeout.connect(lambda: self._ask(preview=True))
+        for carrier in (self.thumbnails, self._mail):
+            carrier.setParent(self.centre)
         self.thumbnails.arrived.connect(self._show_pictures)
         self.binding.on(("sliders", "parts_on"), self._wanted, now=False)
         self.binding.on(("theme",), self._show, now=False)

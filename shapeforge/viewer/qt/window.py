@@ -24,6 +24,7 @@ from PySide6.QtWidgets import (
 from shapeforge.viewer.actions import PLACE_NAMES, Actions, place_verdict
 from shapeforge.viewer.qt import icons
 from shapeforge.viewer.qt.bind import ENABLING, Binding, native, tooltip_of
+from shapeforge.viewer.qt.collector import Collector
 from shapeforge.viewer.qt.header import Header
 from shapeforge.viewer.qt.rail import Rail
 from shapeforge.viewer.qt.start_page import EmptyPlace, StartPage, dropped_paths, take_drop
@@ -99,7 +100,8 @@ class Window(QWidget):
         self._surface = QOpenGLWidget(self)
         self._surface.setFixedSize(0, 0)
         self._surface.hide()
-        self._mail = _Mail()
+        self._collector = Collector(self)
+        self._mail = _Mail(self)
         self._mail.arrived.connect(self._read_mail)
         self.runner = Runner(self._mail.arrived.emit)
         self.binding = Binding(self.session)
@@ -320,6 +322,7 @@ class Window(QWidget):
             self.hide()
             self.runner.stop()
             self.runner.join(LONGEST_WAIT)
+        self.runner.on_news = lambda: None  # a step that takes longer than that finds nobody to tell
         self._read_mail()
         for made in self.places.values():
             close = getattr(made, "close", None)
@@ -329,4 +332,5 @@ class Window(QWidget):
             shut = getattr(view, "shut", None)
             if shut is not None:
                 shut()
+        self._collector.close()
         super().closeEvent(event)
