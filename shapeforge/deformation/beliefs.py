@@ -16,7 +16,8 @@ class Beliefs:
     ``template`` is the index (into the family's list of templates) that ``deformed`` refers to;
     ``maps`` and ``offsets`` are the linear map of each part (y -> maps[l] @ y + offsets[l]);
     ``evidence`` is the part painted by the user per point, -1 where nothing was painted;
-    ``misfit`` the part-wise evidence (nats per point) by which a part was kept or switched off.
+    ``misfit`` the log odds of each part's existence, by which it was kept or switched off (NaN: not asked);
+    ``lent`` the parts that this template lacks and another exemplar's beliefs bring: (part, those beliefs).
     """
 
     template: int
@@ -28,3 +29,4 @@ class Beliefs:
     active: Bool[np.ndarray, " L"]
     evidence: Int[np.ndarray, " P"]
     misfit: Float[np.ndarray, " L"]
+    lent: tuple[tuple[int, Beliefs], ...] = ()

@@ -53,13 +53,16 @@ SETTLED = 5e-4
 EXEMPLARS_PER_SHAPE = 3
 """Exemplars tried on every shape: its own group's and the next best by affine residual."""
 
-GAP_SCALE, TURN_SCALE = 0.07, 0.1
-"""Gap (diagonals) between a deformed template and the surface, and 1 - |cos| between their normals, that count as one
-unit of misfit."""
+GAP_SCALE, TURN_SCALE = 0.004, 0.12
+"""Gap (diagonals) between a deformed template and the surface, and 1 - |cos| between their normals, both in the mean
+over the shape, that cost an exemplar one nat against the others."""
 
-WEIGHT_TEMPERATURE = 0.15
-"""How fast an exemplar's weight falls with its misfit above the best exemplar's."""
+LOCAL_GAP, LOCAL_TURN = 0.02, 0.15
+"""The same around one point of the surface: an exemplar with arms may speak for the arms of a shape that another
+exemplar explains better in all else."""
 
+LENT = 0.5
+"""A part that the best exemplar lacks is another's, if at least this share of what that one says of it is believed."""
 
 COMPACT = ("deformed", "variance", "segmentation")
 """Arrays of the beliefs that a fit holds in single precision, of every shape and exemplar."""
@@ -77,13 +80,14 @@ class FitDiverged(RuntimeError):
 class Candidate:
     """One exemplar's templates on one shape: the beliefs, and the weight this explanation has among the shape's.
 
-    ``misfit`` is what the weight follows from: the gap between the deformed template and the surface, and how far
-    their normals differ.
+    ``misfit`` (nats) is what the weight follows from: the gap between the deformed template and the surface, and how
+    far their normals differ; ``local`` (P,) the same around each point of the surface.
     """
 
     beliefs: Beliefs
     weight: float
     misfit: float
+    local: Float[np.ndarray, " P"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,10 +121,24 @@ class FitState:
 
 
 def blend(candidates: Sequence[Candidate]) -> Beliefs:
-    """The best candidate's beliefs, with segmentations averaged by weight over all candidates of the shape."""
+    """The best candidate's beliefs, with the segmentations of all candidates of the shape averaged.
+
+    A candidate's voice at a point falls with its misfit as a whole and around that point.  Parts that the best one
+    lacks, and that the average takes from another, are ``lent`` by it.
+    """
     best = max(candidates, key=lambda candidate: candidate.weight)
-    mixed = sum(candidate.weight * candidate.beliefs.segmentation.astype(np.float64) for candidate in candidates)
-    return replace(_unpacked(best.beliefs), segmentation=mixed / mixed.sum(axis=1, keepdims=True))
+    against = np.stack([candidate.misfit + candidate.local.astype(np.float64) for candidate in candidates])
+    voices = np.exp(against.min(axis=0) - against)
+    voices /= voices.sum(axis=0)
+    said = [v[:, None] * c.beliefs.segmentation.astype(np.float64) for v, c in zip(voices, candidates, strict=True)]
+    mixed = sum(said)
+    lent = []
+    for part in np.flatnonzero(~best.beliefs.active).tolist():
+        believed = [float(one[:, part].sum()) for one in said]
+        lender = int(np.argmax(believed))
+        if believed[lender] > LENT * float(candidates[lender].beliefs.segmentation[:, part].sum(dtype=np.float64)) > 0:
+            lent.append((part, _unpacked(candidates[lender].beliefs)))
+    return replace(_unpacked(best.beliefs), segmentation=mixed / mixed.sum(axis=1, keepdims=True), lent=tuple(lent))
 
 
 def fit_templates(
@@ -328,22 +346,27 @@ def fit_shape(
 def weigh(problem: Problem, templates: Sequence[PartTemplates], beliefs: Sequence[Beliefs]) -> tuple[Candidate, ...]:
     """Weigh the exemplars' explanations of a shape by how well each *deformed* template explains it.
 
-    A flexible template reaches almost any surface, so the gap alone is a poor judge of an exemplar: whether the
-    surfaces that were brought together also face the same way tells more.
+    By the gap between template and surface, both ways, and by whether the surfaces that were brought together face the
+    same way; over the whole shape and around every point.
     """
-    rows = np.arange(0, len(problem.points), max(1, len(problem.points) // 1500))
-    points, normals = problem.points[rows], problem.normals[rows]
-    misfits = []
+    misfits, locals_ = [], []
     for belief in beliefs:
         template = templates[belief.template]
         alive = np.flatnonzero(belief.active[template.label])
-        nearest, distance = (found[:, 0] for found in nearest_points(belief.deformed[alive], points))
-        back = nearest_points(points, thinned(belief.deformed[alive], 1500))[1]
-        cosine = np.abs((mapped_normals(template, belief)[alive[nearest]] * normals).sum(axis=1))
-        misfits.append(float((distance.mean() + back.mean()) / GAP_SCALE + (1.0 - cosine.mean()) / TURN_SCALE))
-    least = min(misfits)
-    weights = [float(np.exp(-(misfit - least) / WEIGHT_TEMPERATURE)) for misfit in misfits]
-    return tuple(Candidate(b, w, m) for b, w, m in zip(beliefs, weights, misfits, strict=True))
+        nearest, distance = (found[:, 0] for found in nearest_points(belief.deformed[alive], problem.points))
+        back = nearest_points(problem.points, thinned(belief.deformed[alive], 1500))[1]
+        turn = 1.0 - np.abs((mapped_normals(template, belief)[alive[nearest]] * problem.normals).sum(axis=1))
+        misfits.append(float((distance.mean() + back.mean()) / GAP_SCALE + turn.mean() / TURN_SCALE))
+        locals_.append(_around(problem, distance / LOCAL_GAP + turn / LOCAL_TURN).astype(np.float32))
+    weights = [float(np.exp(min(misfits) - misfit)) for misfit in misfits]
+    return tuple(Candidate(*one) for one in zip(beliefs, weights, misfits, locals_, strict=True))
+
+
+def _around(problem: Problem, value: Float[np.ndarray, " P"]) -> Float[np.ndarray, " P"]:
+    """Mean of a value over every point and its neighbours within the patch."""
+    count = np.diff(problem.offsets)
+    row = np.repeat(np.arange(len(value)), count)
+    return (value + np.bincount(row, value[problem.neighbour], len(value))) / (count + 1)
 
 
 def affine_beliefs(

@@ -213,13 +213,30 @@ def _assemble(templates, has, chosen, fits) -> Hierarchy:
     return Hierarchy(top, tuple(links))
 
 
+def deformed_family(
+    beliefs: Beliefs, hierarchy: Hierarchy
+) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, " K"], Bool[np.ndarray, " K"]]:
+    """The top-level template points on a shape: places (K, 3), variance (K,) per axis, existence (K,).
+
+    From the templates that explain the shape best; parts that they lack from those that lent them.
+    """
+    part = hierarchy.top.label
+    link = hierarchy.links[beliefs.template]
+    exists = link.exists & beliefs.active[part]
+    deformed = np.einsum("kj,kji->ki", link.weight, beliefs.deformed[link.index])
+    variance = (link.weight * beliefs.variance.mean(axis=1)[link.index]).sum(axis=1)
+    for lent, lender in beliefs.lent:
+        from_lender, places, spread = part == lent, *deformed_family(lender, hierarchy)[:2]
+        deformed[from_lender], variance[from_lender] = places[from_lender], spread[from_lender]
+        exists = np.where(from_lender, hierarchy.links[lender.template].exists, exists)
+    return deformed, variance, exists
+
+
 def corresponding_points(
     shape: Shape, beliefs: Beliefs, hierarchy: Hierarchy
 ) -> tuple[Float[np.ndarray, "K 3"], Bool[np.ndarray, " K"]]:
     """The surface point (K, 3) nearest to each deformed top-level template point, NaN where absent; existence (K,)."""
-    link = hierarchy.links[beliefs.template]
-    exists = link.exists & beliefs.active[hierarchy.top.label]
-    deformed = np.einsum("kj,kji->ki", link.weight, beliefs.deformed[link.index])
+    deformed, _, exists = deformed_family(beliefs, hierarchy)
     positions = np.full((len(exists), 3), np.nan)
     if exists.any():
         positions[exists] = closest_points(shape.mesh, deformed[exists])[0]

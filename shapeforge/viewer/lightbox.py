@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 from scipy.stats import chi2
 
+from shapeforge.deformation.hierarchy import deformed_family
 from shapeforge.viewer.display import (
     Caption,
     Display,
@@ -167,7 +168,7 @@ class Lightbox:
         hierarchy = None if project is None else project.hierarchy()
         if hierarchy is not None:
             fit = project.fit()
-            self.top, self._links = hierarchy.top, hierarchy.links
+            self.top, self._hierarchy = hierarchy.top, hierarchy
             self._noise = 0.01**2 if fit is None else float(np.mean(fit.covariances.unary))
             self.coordinate = coordinate_colours(self.top.points)
         return True
@@ -182,12 +183,9 @@ class Lightbox:
         if name not in self._known:
             project = self.session.project
             positions, existence = project.positions(name), np.asarray(project.existence(name), bool)
-            beliefs = project.beliefs(name)
-            link = self._links[beliefs.template]
-            variance = (link.weight * beliefs.variance.mean(axis=1)[link.index]).sum(axis=1) + self._noise
-            deformed = np.einsum("kj,kji->ki", link.weight, beliefs.deformed[link.index])
+            deformed, variance, _ = deformed_family(project.beliefs(name), self._hierarchy)
             gap = np.nan_to_num(np.linalg.norm(deformed - positions, axis=1), nan=1.0)
-            spread = np.sqrt(variance)
+            spread = np.sqrt(variance + self._noise)
             sure = np.where(existence, confidence_of(spread, gap), 0.0)
             self._known[name] = Known(np.asarray(positions, float), existence, spread, sure)
         return self._known[name]
