@@ -21,7 +21,7 @@ from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.templates import PartTemplates
 from shapeforge.deformation.updates import Candidates, Correspondence, Problem, mapped_normals
 
-SHARPNESS = 0.0105
+SHARPNESS = 0.0125
 """σ1 (diagonals) below which the question may be asked: earlier, thin parts still look dispensable."""
 
 LOSS_CAP = 10.0
@@ -91,7 +91,7 @@ def switch_off_missing(
     supported = correspondence.mass > SUPPORTED * len(problem.points) / own.sum()
     away = nearest_points(problem.points, beliefs.deformed)[1][:, 0] / problem.spacing
     normals = mapped_normals(templates, beliefs)
-    odds = np.full(templates.n_parts, np.nan)
+    odds = beliefs.misfit.copy()  # those of parts found missing before are kept: the window shows them
     for part in np.flatnonzero(beliefs.active).tolist():
         claimed, mine = favourite == part, templates.label == part
         if claimed.sum() < NEGLIGIBLE_SHARE * own[part] / own.sum() * len(problem.points):
@@ -114,7 +114,7 @@ def switch_off_missing(
     beliefs = replace(beliefs, misfit=odds)
     missing = beliefs.active & ~painted & (odds < DOUBT)
     if (missing == beliefs.active).all():  # the likeliest part stays
-        missing[np.nanargmax(np.where(beliefs.active, odds, np.nan))] = False
+        missing[np.argmax(np.where(beliefs.active, odds, -np.inf))] = False
     # one part a round: two parts on one surface must not condemn each other
     gone = np.flatnonzero(missing)
     return without(beliefs, int(gone[np.argmin(odds[gone])])) if len(gone) else beliefs

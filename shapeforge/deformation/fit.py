@@ -123,22 +123,26 @@ class FitState:
 def blend(candidates: Sequence[Candidate]) -> Beliefs:
     """The best candidate's beliefs, with the segmentations of all candidates of the shape averaged.
 
-    A candidate's voice at a point falls with its misfit as a whole and around that point.  Parts that the best one
-    lacks, and that the average takes from another, are ``lent`` by it.
+    A candidate's voice at a point falls with its misfit as a whole and around that point.  Parts that the best one's
+    template does not know, and that the average takes from another, are ``lent`` by it; parts that the best one knows
+    and found missing are not.
     """
-    best = max(candidates, key=lambda candidate: candidate.weight)
+    best = max(candidates, key=lambda candidate: candidate.weight).beliefs
     against = np.stack([candidate.misfit + candidate.local.astype(np.float64) for candidate in candidates])
     voices = np.exp(against.min(axis=0) - against)
     voices /= voices.sum(axis=0)
-    said = [v[:, None] * c.beliefs.segmentation.astype(np.float64) for v, c in zip(voices, candidates, strict=True)]
-    mixed = sum(said)
+    missing = ~best.active & ~np.isnan(best.misfit)
+    said = np.stack([candidate.beliefs.segmentation.astype(np.float64) for candidate in candidates])
+    said = np.where(missing, 0.0, said) * voices[:, :, None]
+    mixed = said.sum(axis=0) + 1e-9 * best.segmentation
+    believed = said.sum(axis=1)
     lent = []
-    for part in np.flatnonzero(~best.beliefs.active).tolist():
-        believed = [float(one[:, part].sum()) for one in said]
-        lender = int(np.argmax(believed))
-        if believed[lender] > LENT * float(candidates[lender].beliefs.segmentation[:, part].sum(dtype=np.float64)) > 0:
+    for part in np.flatnonzero(~best.active & ~missing).tolist():
+        lender = int(np.argmax(believed[:, part]))
+        own = candidates[lender].beliefs.segmentation[:, part].sum(dtype=np.float64)
+        if believed[lender, part] > LENT * own > 0:
             lent.append((part, _unpacked(candidates[lender].beliefs)))
-    return replace(_unpacked(best.beliefs), segmentation=mixed / mixed.sum(axis=1, keepdims=True), lent=tuple(lent))
+    return replace(_unpacked(best), segmentation=mixed / mixed.sum(axis=1, keepdims=True), lent=tuple(lent))
 
 
 def fit_templates(

@@ -88,7 +88,7 @@ def register(source: PartTemplates, target: PartTemplates) -> Float[np.ndarray, 
     on_source, on_target = shared[source.label], shared[target.label]
     alignment = affine_align(source.points[on_source], target.points[on_target])
     deformed = alignment(source.points)
-    for part in np.flatnonzero(shared):
+    for part in np.flatnonzero(shared).tolist():
         mine, theirs = _of_part(source, part), _of_part(target, part)
         starts = [alignment]
         if min(mine.n_points, theirs.n_points) >= LEAST_POINTS:

@@ -104,12 +104,13 @@ class FitReport(QWidget):
         off = [part for part in range(len(names)) if not beliefs.active[part]]
         if off:
             part = off[0]
-            worth = float(beliefs.misfit[part])
+            odds = float(beliefs.misfit[part])
             self._off = record.off_elsewhere(part, name)
             also = f" Also on {len(self._off)} other shapes." if self._off else ""
             self.note_title.setText(f"{', '.join(names[p] for p in off)}: switched off")
-            reason = f"Explains the surface only {worth:.1f} nats a point better than the rest."
-            self.note_text.setText(f"{reason if np.isfinite(worth) else 'The rest explains the surface.'}{also}")
+            likely = f"Its points hardly fit the surface: {100 / (1 + np.exp(-odds)):.0f}% likely to be there."
+            reason = "This exemplar has no such part." if np.isnan(odds) else likely
+            self.note_text.setText(f"{reason if odds > -np.inf or np.isnan(odds) else 'It claims no surface.'}{also}")
             self._off = self._off[:WATCHED_AT_MOST]
             self.note_show.setText(f"Show the {len(self._off)}" if len(self._off) > 1 else "Show it")
             self.note_show.setVisible(bool(self._off))
