@@ -204,6 +204,13 @@ def deliver(news: News, session: Session) -> None:
         session.say(said or f"{stage} is done in {duration(news.seconds)}", "ok")
 
 
+DOING: dict[str, str] = {
+    "import": "Reading", "group": "Grouping", "label": "Taking labels", "cosegment": "Proposing parts",
+    "fit": "Fitting", "learn": "Learning", "refine": "Refining", "synthesize": "Making shapes",
+}  # fmt: skip
+"""What a stage is said to be doing."""
+
+
 def duration(seconds: float | int) -> str:
     """A length of time in words: "6 s", "2 min", "1 h 20 min"."""
     if seconds < 90:

@@ -177,6 +177,8 @@ def test_running_pausing_stepping_stopping(open_window, fitted, qtbot):
     qtbot.waitUntil(lambda: window.runner.paused, timeout=LONG)
     qtbot.wait(50)
     assert place.record.newest == 0, "a step is one round: the affine start"
+    assert session.is_paused and place.run.text() == "Resume"
+    assert place.left_text.text() == "· paused" and "paused" in place.phase_text.full_text()
     qtbot.mouseClick(place.step, LEFT)
     qtbot.waitUntil(lambda: place.record.newest == 1 and window.runner.paused, timeout=LONG)
     qtbot.wait(50)

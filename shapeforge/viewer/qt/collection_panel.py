@@ -109,12 +109,12 @@ class CollectionPlace:
     def _make_centre(self) -> QWidget:
         self.hint = label(HINTS["map"], "caption_off")
         self.count = label("", "caption_off")
-        foot = row(self.hint, None, self.count, margins=(PADDING, 0, PADDING, 8))
-        over = column(None, foot, spacing=0)
-        self.map.setLayout(over)
-        for one in (self.hint, self.count):
-            one.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        return self.map
+        foot = framed(row(self.hint, None, self.count, margins=(PADDING, 0, PADDING, 6)), "view_foot", height=28)
+        box = column(self.map, foot, spacing=0)
+        box.setStretch(0, 1)
+        result = framed(box, "centre")
+        result.setFocusProxy(self.map)
+        return result
 
     def _make_inspector(self) -> QWidget:
         self.group_count = label("", "off")

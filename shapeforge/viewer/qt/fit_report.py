@@ -107,9 +107,11 @@ class FitReport(QWidget):
             worth = float(beliefs.misfit[part])
             self._off = record.off_elsewhere(part, name)
             also = f" Also on {len(self._off)} other shapes." if self._off else ""
-            self.note_title.setText(f"{', '.join(names[p] for p in off)}: switched off")
-            reason = f"Explains the surface only {worth:.1f} nats a point better than the rest."
-            self.note_text.setText(f"{reason if np.isfinite(worth) else 'The rest explains the surface.'}{also}")
+            self.note_title.setText(f"{' and '.join(names[p] for p in off)} switched off".capitalize())
+            reason = "The other parts explain this surface as well."
+            if np.isfinite(worth) and worth >= 0.05:
+                reason = f"It would explain the surface only {worth:.1f} nats a point better than the rest."
+            self.note_text.setText(f"{reason}{also}")
             self._off = self._off[:WATCHED_AT_MOST]
             self.note_show.setText(f"Show the {len(self._off)}" if len(self._off) > 1 else "Show it")
             self.note_show.setVisible(bool(self._off))
