@@ -49,7 +49,7 @@ def groups_of(session: Session) -> Any:
     project = session.project
     if project is None:
         return None
-    stamp = (project.groups_key, project.names)
+    stamp = (project.groups_key, project.names, session.revision)  # a name is no part of the key
     kept = _groups_read.get(project)
     if kept is None or kept[0] != stamp:
         kept = _groups_read[project] = (stamp, project.groups)

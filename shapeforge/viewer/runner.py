@@ -116,10 +116,10 @@ class Runner:
                     state = next(iterator)
                 except StopIteration:
                     break
-                self._post(News(name, state, (state,), None, None, time.monotonic() - begin))
                 with self._wake:
                     if self._mode == "step":
-                        self._mode = "pause"
+                        self._mode = "pause"  # before the news of it, so that who hears them finds it waiting
+                self._post(News(name, state, (state,), None, None, time.monotonic() - begin))
             else:
                 outcome = "stopped"
         except BaseException as raised:  # whatever it is, it becomes a sentence in the window

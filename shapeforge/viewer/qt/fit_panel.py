@@ -151,6 +151,7 @@ class FitPlace:
     def _make_inspector(self) -> QWidget:
         self.report = FitReport()
         self.report.watch.connect(self._watch_all)
+        self.report.override.connect(self._override)
         self.correct = action_button(self.actions, "correct", self.binding)
         self.correct_text = label("", "caption", wrap=True)
         self.next = action_button(
@@ -431,6 +432,15 @@ class FitPlace:
 
     def _correct(self, session: Session) -> None:
         session.place = "paint"
+
+    def _override(self, part_name: str) -> None:
+        """A part was switched off on a shape that has it: painted, it counts as seen and is never switched off."""
+        session = self.session
+        names = session.project.part_names.names if session.project.part_names is not None else ()
+        session.place = "paint"
+        if part_name in names:
+            session.part = names.index(part_name)
+        session.say(f"Paint some of the {part_name} of {session.shape}: the next fit keeps it.")
 
     def _watch_all(self, names: tuple[str, ...]) -> None:
         self.session.watched = names
