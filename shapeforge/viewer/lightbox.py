@@ -323,7 +323,7 @@ class Lightbox:
             colours = np.broadcast_to(np.array(rgb(tokens(theme)["shape"]), np.uint8), shape.vertices.shape).copy()
         return MeshLayer("shape", shape.vertices, shape.triangles, colours, smooth_colours=True)
 
-    def overlay(self, first: str, second: str, moves: int = 240) -> Display:
+    def overlay(self, first: str, second: str, moves: int = 90) -> Display:
         """Two shapes in one view: the first in grey, the second see-through, lines from point to point."""
         a, b = self.shape(first), self.shape(second)
         theme = self.session.theme
@@ -335,7 +335,7 @@ class Lightbox:
         layers = (
             MeshLayer("shape", a.vertices, a.triangles, grey),
             MeshLayer("other", b.vertices, b.triangles, blue, opacity=0.35, pickable=False),
-            LineLayer("moves", segments, rgb(tokens(theme)["text"]), 1.0, 0.5),
+            LineLayer("moves", segments, rgb(tokens(theme)["text"]), 1.0, 0.4),
         )
         mean = float(np.linalg.norm(segments[:, 0] - segments[:, 1], axis=1).mean()) if len(both) else float("nan")
         words = ((f"{first} and {second}", "strong"), (f"points {100 * mean:.1f}% of size apart", "plain"))

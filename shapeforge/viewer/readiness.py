@@ -49,7 +49,7 @@ def groups_of(session: Session) -> Any:
     project = session.project
     if project is None:
         return None
-    stamp = (project.groups_key, project.names)
+    stamp = (project.groups_key, project.names, session.revision)  # a name is no part of the key
     kept = _groups_read.get(project)
     if kept is None or kept[0] != stamp:
         kept = _groups_read[project] = (stamp, project.groups)
@@ -70,6 +70,29 @@ def next_to_paint(session: Session) -> str | None:
     """The first exemplar without labels, None when all are painted."""
     names = unpainted_exemplars(session)
     return names[0] if names else None
+
+
+def next_step(session: Session) -> tuple[str, str]:
+    """The action that brings the family on from where it is, and what a button for it says."""
+    status = stage_status(session)
+
+    def is_done(stage: str) -> bool:
+        return stage in status and status[stage].state == "done"
+
+    if not session.project.names:
+        return "import_files", "Import shapes…"
+    if groups_of(session) is None:
+        return "group", "Group the shapes"
+    upcoming = next_to_paint(session)
+    if upcoming is not None:
+        return "paint_next", f"Paint {upcoming}"
+    if not is_done("fit"):
+        return "go_fit", "Fit the family"
+    if is_done("learn"):
+        return "go_synthesize", "Make new shapes"
+    return (
+        ("learn", "Learn the family") if session.place == "correspondence" else ("go_correspondence", "Compare points")
+    )
 
 
 def stage_verdict(session: Session, stage: str) -> Verdict:

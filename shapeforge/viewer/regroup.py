@@ -64,6 +64,19 @@ def leave_out(session: Session) -> None:
     _change_groups(session, text, before, dataclasses.replace(before, group=group))
 
 
+def rename_group(session: Session, g: int, name: str) -> None:
+    """Call group ``g`` otherwise; nothing goes stale, and it can be undone.  Empty and taken names are refused."""
+    before, name = groups_of(session), " ".join(name.split())
+    if name == before.names[g]:
+        return
+    if not name or name in before.names:
+        session.say(f"There is a group {name} already." if name else "A group needs a name.", "warning")
+        session.touch("groups")
+        return
+    names = (*before.names[:g], name, *before.names[g + 1 :])
+    _change_groups(session, f"rename {before.names[g]}", before, dataclasses.replace(before, names=names))
+
+
 def _change_groups(session: Session, label: str, before: Any, after: Any) -> None:
     def put(groups: Any) -> None:
         session.project.set_groups(groups)

@@ -116,10 +116,10 @@ class Runner:
                     state = next(iterator)
                 except StopIteration:
                     break
-                self._post(News(name, state, (state,), None, None, time.monotonic() - begin))
                 with self._wake:
                     if self._mode == "step":
-                        self._mode = "pause"
+                        self._mode = "pause"  # before the news of it, so that who hears them finds it waiting
+                self._post(News(name, state, (state,), None, None, time.monotonic() - begin))
             else:
                 outcome = "stopped"
         except BaseException as raised:  # whatever it is, it becomes a sentence in the window
@@ -202,6 +202,13 @@ def deliver(news: News, session: Session) -> None:
         last = session.progress
         said = getattr(last, "message", "") if last is not None else ""
         session.say(said or f"{stage} is done in {duration(news.seconds)}", "ok")
+
+
+DOING: dict[str, str] = {
+    "import": "Reading", "group": "Grouping", "label": "Taking labels", "cosegment": "Proposing parts",
+    "fit": "Fitting", "learn": "Learning", "refine": "Refining", "synthesize": "Making shapes",
+}  # fmt: skip
+"""What a stage is said to be doing."""
 
 
 def duration(seconds: float | int) -> str:

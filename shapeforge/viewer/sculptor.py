@@ -21,6 +21,7 @@ from shapeforge.synthesis.assemble import SynthesizedShape
 from shapeforge.viewer.display import Caption, Display, Mark, MeshLayer, PointLayer, View
 from shapeforge.viewer.mesh_worker import Made
 from shapeforge.viewer.palette import label_colours, part_colours
+from shapeforge.viewer.readiness import group_of
 from shapeforge.viewer.session import Session
 from shapeforge.viewer.slider_names import changes, choose_names, what_moves
 
@@ -203,6 +204,22 @@ class Sculptor:
         mean = np.where(share > 0.5, mean, np.inf)
         best = int(mean.argmin())
         return self.shape_names[best], float(mean[best])
+
+    def other_end(self, name: str) -> str:
+        """A shape to go to from ``name``: the one least like it in its group with the same parts, else among all.
+
+        On the way between shapes that have different parts, a part has to come or go at some point.
+        """
+        index = self.shape_names.index(name)
+        others = np.arange(len(self.shape_names)) != index
+        alike = others & (self.observations.exists == self.observations.exists[index]).all(axis=1)
+        groups = [group_of(self.session, one) for one in self.shape_names]
+        alike &= np.array(groups) == groups[index]
+        among = np.flatnonzero(alike if alike.any() else others)
+        if not len(among):
+            return name
+        away = np.nanmean(np.linalg.norm(self.positions[among] - self.positions[index], axis=2), axis=1)
+        return self.shape_names[int(among[np.nanargmax(away)])]
 
     def place_on_map(
         self, embedding: Float[np.ndarray, "T 2"], points: Float[np.ndarray, "K 3"]

@@ -140,7 +140,7 @@ class Session:
         self.progress, self.history, self.place = None, Edits(), "collection"
         self.revision += 1
         self.project = project
-        self.say("" if project is None else f"Opened {Path(project.path).name}")
+        self.say("" if project is None else f"Opened {getattr(project, 'name', Path(project.path).name)}")
 
     def do(self, label: str, redo: Callable[[], None], undo: Callable[[], None]) -> None:
         """Do something and remember how to take it back (where the current history takes single edits)."""

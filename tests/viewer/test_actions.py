@@ -9,6 +9,7 @@ import pytest
 
 from shapeforge.store import Project
 from shapeforge.viewer.actions import Actions, free_folder, groups_of, next_to_paint, place_mark, place_verdict
+from shapeforge.viewer.readiness import next_step
 from shapeforge.viewer.session import PLACES, Session
 from tests.viewer.conftest import paint_exemplars
 
@@ -218,3 +219,15 @@ def test_the_demo_family_is_made_imported_and_grouped(actions, desk, tmp_path):
     assert stages_seen == {"import", "group"}
     project = Project.open(tmp_path / "demo" / "project")
     assert len(project.names) == 4 and project.groups is not None
+
+
+def test_the_next_step_leads_through_the_whole_story(fitted):
+    session = Session()
+    session.open(fitted)
+    assert next_step(session) == ("go_correspondence", "Compare points")
+    session.place = "correspondence"
+    assert next_step(session) == ("learn", "Learn the family")
+    first = fitted.names[int(fitted.groups.exemplars[0])]
+    fitted.set_labels(first, np.full(fitted.shape_record(first)["n_faces"], -1, np.int32))
+    session.touch("labels")
+    assert next_step(session)[0] in ("paint_next", "go_fit"), "what was undone comes next again"

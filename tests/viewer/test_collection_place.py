@@ -11,10 +11,12 @@ from PySide6.QtGui import QGuiApplication
 from PySide6.QtTest import QTest
 from scipy.spatial.distance import pdist
 
+from shapeforge import stages
+from shapeforge.store import Project
 from shapeforge.viewer.layout import GAP, HULL_MARGIN, hull, place_by_likeness, place_in_rows
 from shapeforge.viewer.palette import GROUPS, rgb
 from shapeforge.viewer.qt.collection_panel import CollectionPlace, typical_text
-from shapeforge.viewer.qt.widgets import Clickable
+from shapeforge.viewer.qt.widgets import Clickable, EditableName
 from tests.viewer.conftest import paint_exemplars
 
 LEFT = Qt.MouseButton.LeftButton
@@ -314,3 +316,36 @@ def test_before_grouping_there_is_a_grid_and_one_next_step(open_window, grouped,
     monkeypatch.setattr(window.actions_table.desk, "start", lambda name, make: started.append(name))
     qtbot.mouseClick(place.strip.next, LEFT)
     assert started == ["group"]
+
+
+def test_a_group_is_renamed_in_place_and_nothing_goes_stale(open_window, fitted, qtbot):
+    window = open_window(fitted)
+    place, session = window.places["collection"], window.session
+    before = fitted.groups.names[0]
+    qtbot.mouseDClick(place.group_rows[0], LEFT)
+    editor = place.group_rows[0].findChild(EditableName).editor
+    qtbot.waitUntil(editor.hasFocus)
+    qtbot.keyClicks(editor, "Side  chairs")
+    qtbot.keyClick(editor, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: fitted.groups.names[0] == "Side chairs")
+    assert place.exemplar_title.text() == "Exemplar of Side chairs"
+    assert place.group_rows[0].findChild(EditableName).text() == "Side chairs"
+    assert stages.status(Project.open(fitted.path))["fit"].state == "done"
+    session.undo()
+    assert fitted.groups.names[0] == before == place.group_rows[0].findChild(EditableName).text()
+
+
+def test_a_group_keeps_its_name_on_escape_and_without_a_name(open_window, fitted, qtbot):
+    window = open_window(fitted)
+    place = window.places["collection"]
+    before = fitted.groups.names
+    place.map.setFocus()
+    for key in (Qt.Key.Key_Escape, Qt.Key.Key_Return):
+        qtbot.keyClick(place.map, Qt.Key.Key_F2)
+        editor = place.group_rows[place.group].findChild(EditableName).editor
+        qtbot.waitUntil(editor.hasFocus)
+        editor.setText("another" if key == Qt.Key.Key_Escape else "  ")
+        qtbot.keyClick(editor, key)
+        qtbot.wait(30)
+        assert fitted.groups.names == before
+    assert window.session.status_kind == "warning" and "name" in window.session.status

@@ -135,7 +135,7 @@ def test_colours_by_part_and_by_coordinate(lightbox):
 def test_sorting_and_counting(lightbox):
     assert lightbox.actions.run("show_worst")
     values = [view.confidence for view in lightbox.view.shown.views]
-    assert values == sorted(values) and lightbox.sorting.value_text() == "confidence, low first"
+    assert values == sorted(values) and lightbox.sorting.value_text() == "least sure first"
     lightbox._count_chosen("4")
     assert len(lightbox.names) == len(lightbox.view.shown.views) == 4
     lightbox._sort_chosen("name")
@@ -229,3 +229,19 @@ def test_points_are_described_by_part_and_place():
     assert describe_point(grid, part, ["back"], at[(1.0, 2.0, 0.0)]) == "Back, top right"
     assert describe_point(grid, part, ["back"], at[(0.0, 1.0, 0.0)]) == "Back, middle"
     assert describe_point(grid, part, ["back"], at[(-1.0, 0.0, 0.0)]) == "Back, bottom left"
+
+
+def test_a_click_just_beside_a_thin_piece_still_means_it(lightbox, qtbot):
+    view = lightbox.view
+    left, top, width, height = view.rectangles()[0]
+    middle = range(round(left) + 20, round(left + width) - 20)
+    for y in range(round(top + 0.3 * height), round(top + 0.9 * height), 3):
+        hits = [view.pick(x, y) is not None for x in middle]
+        edges = [i for i in range(8, len(hits) - 8) if hits[i] and not any(hits[i - 8 : i])]
+        if edges:
+            break
+    beside = QPoint(middle[edges[0]] - 5, y)
+    assert view.pick(beside.x(), beside.y()) is None
+    click(qtbot, lightbox, beside)
+    assert lightbox.session.picked is not None and lightbox.session.shape == lightbox.names[0]
+    assert view.pick_near(left + 3, top + 3) is None, "the ground is no shape"

@@ -177,6 +177,8 @@ def test_running_pausing_stepping_stopping(open_window, fitted, qtbot):
     qtbot.waitUntil(lambda: window.runner.paused, timeout=LONG)
     qtbot.wait(50)
     assert place.record.newest == 0, "a step is one round: the affine start"
+    assert session.is_paused and place.run.text() == "Resume"
+    assert place.left_text.text() == "· paused" and "paused" in place.phase_text.full_text()
     qtbot.mouseClick(place.step, LEFT)
     qtbot.waitUntil(lambda: place.record.newest == 1 and window.runner.paused, timeout=LONG)
     qtbot.wait(50)
@@ -252,3 +254,19 @@ def test_a_damaged_fit_is_said_and_the_rest_goes_on(open_window, fitted, qtbot):
     assert window.session.status_kind == "error" and "fit.zarr.zip" in window.session.status
     window.session.place = "collection"
     assert window.stacks["centre"].currentWidget() is window.places["collection"].centre
+
+
+def test_a_switched_off_part_can_be_insisted_on(open_window, fitted, qtbot):
+    window = open_window(fitted, "fit")
+    session, place = window.session, place_of(window)
+    off = {name: np.flatnonzero(~fitted.beliefs(name).active) for name in fitted.names}
+    name = next((name for name in fitted.names if len(off[name])), None)
+    if name is None:  # then one is made
+        pytest.skip("no part was switched off in this family")
+    session.shape = name
+    place._show_all()
+    part = fitted.part_names.names[int(off[name][0])]
+    assert part in place.report.note_title.text().lower() and place.report.note_override.isEnabled()
+    qtbot.mouseClick(place.report.note_override, LEFT)
+    assert (session.place, session.shape, session.part) == ("paint", name, int(off[name][0]))
+    assert part in session.status

@@ -342,3 +342,38 @@ def test_a_mesh_that_cannot_be_made_is_said(place, qtbot, monkeypatch):
     place.session.sliders = {0: 0.5}
     qtbot.waitUntil(lambda: "no such part" in wait_or_any.status, timeout=LONG)
     assert wait_or_any.status_kind == "error"
+
+
+def test_a_shape_that_outgrows_the_view_is_seen_whole_again(place, qtbot):
+    view = place.view
+    for _ in range(9):
+        view.zoom(1)
+    view._user_camera = False  # as if the shape, not the camera, had changed
+    place._let_go(0)
+    places = project_all(place)
+    (x, y, width, height), *_ = view.rectangles()
+    assert (places >= (x, y)).all() and (places <= (x + width, y + height)).all()
+    for _ in range(9):
+        view.zoom(1)
+    scale = view.scene.camera.GetParallelScale()
+    place._let_go(0)
+    assert view.scene.camera.GetParallelScale() == scale, "who placed the camera keeps it"
+
+
+def project_all(place) -> np.ndarray:
+    points = place._points[np.isfinite(place._points).all(axis=1)]
+    return np.array([place.view.place_of(point) for point in points])
+
+
+def test_the_other_end_has_the_same_parts_where_there_is_such_a_shape(sculptor):
+    exists = sculptor.observations.exists
+    for index, name in enumerate(sculptor.shape_names):
+        other = sculptor.shape_names.index(sculptor.other_end(name))
+        assert other != index
+        groups = [sculptor.session.project.groups.group[sculptor.session.project.names.index(n)]
+                  for n in sculptor.shape_names]  # fmt: skip
+        twins = [
+            i for i in range(len(exists))
+            if i != index and (exists[i] == exists[index]).all() and groups[i] == groups[index]
+        ]  # fmt: skip
+        assert not twins or other in twins

@@ -6,11 +6,13 @@ from collections.abc import Callable
 from html import escape
 
 import numpy as np
-from PySide6.QtCore import Qt
+from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QPixmap
 from PySide6.QtWidgets import QWidget
 
 from shapeforge.viewer.actions import (
+    YES,
+    Action,
     Actions,
     group_of,
     groups_of,
@@ -25,6 +27,7 @@ from shapeforge.viewer.qt.thumbnails import Thumbnails
 from shapeforge.viewer.qt.widgets import (
     Choice,
     Clickable,
+    EditableName,
     Picture,
     Segments,
     Swatch,
@@ -39,7 +42,8 @@ from shapeforge.viewer.qt.widgets import (
     section,
     separator,
 )
-from shapeforge.viewer.regroup import can_make_exemplar
+from shapeforge.viewer.readiness import needs_rest
+from shapeforge.viewer.regroup import can_make_exemplar, rename_group
 from shapeforge.viewer.session import Session
 
 PREVIEW = (280, 184)
@@ -59,6 +63,10 @@ class CollectionPlace:
         self.binding = Binding(session)
         self.pictures = Thumbnails(session)
         self.group = 0
+        actions.add(
+            Action("rename_group", "Rename the group", lambda _session: self._rename_current(), self._can_rename, "F2",
+                   "Give the selected group a name of your own", "", "collection")
+        )  # fmt: skip
         self.choosing = False
         self.map = GroupMap(self._map_picture, self._about)
         self.toolbar_widget = self._make_tools()
@@ -109,12 +117,12 @@ class CollectionPlace:
     def _make_centre(self) -> QWidget:
         self.hint = label(HINTS["map"], "caption_off")
         self.count = label("", "caption_off")
-        foot = row(self.hint, None, self.count, margins=(PADDING, 0, PADDING, 8))
-        over = column(None, foot, spacing=0)
-        self.map.setLayout(over)
-        for one in (self.hint, self.count):
-            one.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        return self.map
+        foot = framed(row(self.hint, None, self.count, margins=(PADDING, 0, PADDING, 6)), "view_foot", height=28)
+        box = column(self.map, foot, spacing=0)
+        box.setStretch(0, 1)
+        result = framed(box, "centre")
+        result.setFocusProxy(self.map)
+        return result
 
     def _make_inspector(self) -> QWidget:
         self.group_count = label("", "off")
@@ -237,16 +245,40 @@ class CollectionPlace:
         for g, name in enumerate(groups.names):
             picture = Picture((34, 30))
             disc = Swatch(group_colour(g, len(groups)), size=14, disc=True)
+            called = EditableName(name)
+            called.renamed.connect(lambda text, g=g: self._rename(g, text))
             line = row(
-                disc, 2, label(name, "strong"), None, label(str(len(groups.members(g))), "text2"), 6, picture,
+                disc, 2, called, None, label(str(len(groups.members(g))), "text2"), 6, picture,
                 spacing=6, margins=(8, 2, 6, 2),
             )  # fmt: skip
-            one = Clickable(line, "row", tooltip=f"Exemplar: {self.session.project.names[groups.exemplars[g]]}")
+            exemplar = self.session.project.names[groups.exemplars[g]]
+            one = Clickable(line, "row", tooltip=f"Exemplar: {exemplar}. Double-click (or F2) renames the group.")
             one.setFixedHeight(36)
             one.clicked.connect(lambda g=g: self._show_group(g))
+            one.double_clicked.connect(lambda called=called: self._start_rename(called))
             self.group_list.addWidget(one)
             self.group_rows.append(one)
             self.group_pictures.append((picture, g))
+
+    def _start_rename(self, called: EditableName) -> None:
+        can, why = needs_rest(self.session)
+        if can:
+            called.start()
+        else:
+            self.session.say(why, "warning")
+
+    def _rename(self, g: int, text: str) -> None:
+        # The list is made anew by it: not before the editor has finished with its event.
+        QTimer.singleShot(0, self.centre, lambda: rename_group(self.session, g, text))
+
+    def _can_rename(self, session: Session) -> tuple[bool, str]:
+        can, why = needs_rest(session)
+        if not can:
+            return can, why
+        return YES if groups_of(session) is not None else (False, "Group the shapes first.")
+
+    def _rename_current(self) -> None:
+        self._start_rename(self.group_rows[self.group].findChild(EditableName))
 
     def _show_selection(self) -> None:
         if not self._here():

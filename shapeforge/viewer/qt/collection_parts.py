@@ -29,19 +29,12 @@ from shapeforge.viewer.qt.widgets import (
     section,
     separator,
 )
-from shapeforge.viewer.readiness import group_of, groups_of, next_to_paint, unpainted_exemplars
-from shapeforge.viewer.runner import duration
+from shapeforge.viewer.readiness import group_of, groups_of, next_step, next_to_paint, unpainted_exemplars
+from shapeforge.viewer.runner import DOING, duration
 from shapeforge.viewer.session import Session
 
 MAP_PICTURE = 160
 """Side of the pictures of the map (pixels): sharp up to twice the size they are first seen at."""
-PHASES = {
-    "import": "Reading",
-    "group": "Grouping",
-    "cosegment": "Proposing parts",
-    "fit": "Fitting",
-    "learn": "Learning",
-}
 
 
 class CollectionStrip(QWidget):
@@ -142,10 +135,10 @@ class CollectionStrip(QWidget):
             self.bar.setRange(0, max(progress.of, 1))
             self.bar.setValue(progress.step)
             left = f" · {duration(progress.seconds_left)} left" if progress.seconds_left is not None else ""
-            self.status.setText(f"{PHASES.get(progress.stage, progress.stage)} {progress.step} of {progress.of}{left}")
+            self.status.setText(f"{DOING.get(progress.stage, progress.stage)} {progress.step} of {progress.of}{left}")
         elif running:
             self.bar.setRange(0, 0)
-            self.status.setText(f"{PHASES.get(session.stage or '', 'Working')}…")
+            self.status.setText(f"{DOING.get(session.stage or '', 'Working')}…")
         else:
             self.status.setText(session.status or self._group_text())
             kind = {"warning": "warning", "error": "error"}.get(session.status_kind, "check")
@@ -160,23 +153,14 @@ class CollectionStrip(QWidget):
         return f"Grouped {len(self.session.project.names)} shapes in {duration(record['seconds'])}"
 
     def _show_next(self) -> None:
-        name, text = self._next()
+        name, text = next_step(self.session)
         self.next.setText(text)
         can, why = self.actions.verdict(name)
         self.next.setEnabled(can)
         self.next.setToolTip(why if not can else self.actions[name].tooltip)
 
-    def _next(self) -> tuple[str, str]:
-        """The action that is the next step, and what its button says."""
-        if not self.session.project.names:
-            return "import_files", "Import shapes…"
-        if groups_of(self.session) is None:
-            return "group", "Group the shapes"
-        upcoming = next_to_paint(self.session)
-        return ("paint_next", f"Paint {upcoming}") if upcoming else ("go_fit", "Fit the family")
-
     def _press_next(self) -> None:
-        self.actions.run(self._next()[0])
+        self.actions.run(next_step(self.session)[0])
 
 
 class ProblemList(QWidget):

@@ -16,22 +16,26 @@ from shapeforge.viewer.qt.landmark_strip import LandmarkStrip
 from shapeforge.viewer.qt.point_inspector import PointInspector
 from shapeforge.viewer.qt.widgets import (
     Choice,
+    ElidedLabel,
     column,
     framed,
-    label,
     row,
 )
 from shapeforge.viewer.session import Session
 
 COUNTS = ("4", "6", "9", "12", "16", "20")
 SORTS = (
-    ("high", "confidence, high first"),
-    ("low", "confidence, low first"),
+    ("high", "most sure first"),
+    ("low", "least sure first"),
     ("name", "name"),
     ("group", "group"),
 )  # fmt: skip
-COLOURS = (("spread", "spread of the point"), ("part", "part"), ("coordinate", "template coordinate"))
+COLOURS = (("spread", "where it lies"), ("part", "part"), ("coordinate", "template coordinate"))
 HOVER_MS = 30
+HINTS = {
+    False: "Click a point, then a second one to measure",
+    True: "Lines join the same points of both. O goes back to all shapes.",
+}
 
 
 class CorrespondencePlace:
@@ -55,6 +59,7 @@ class CorrespondencePlace:
         self._hover_timer.timeout.connect(self._show_hover)
         self.binding.on(("picked", "selected", "theme", "compare"), self._show, now=False)
         self.binding.on(("data",), self._reload, now=False)
+        self.binding.on(("project", "data", "running", "place"), self.strip.show_next)
 
     # ---- building ------------------------------------------------------------------------------------------------
 
@@ -113,10 +118,11 @@ class CorrespondencePlace:
         self.showing = Choice("Show", tuple((n, n) for n in COUNTS), str(self.count))
         self.showing.chosen.connect(self._count_chosen)
         home = action_button(self.actions, "home_lightbox", self.binding, text="", kind="tool")
-        self.hint = label("click a point, click a second to measure", "off")
+        self.hint = ElidedLabel(HINTS[False], "off")
         self.toolbar_widget = framed(
-            row(self.colour, self.sorting, self.showing, 4, self.hint, None, home, margins=(16, 0, 16, 0))
+            row(self.colour, self.sorting, self.showing, 4, self.hint, home, margins=(16, 0, 16, 0))
         )
+        self.toolbar_widget.layout().setStretchFactor(self.hint, 1)
         self.inspector = PointInspector(self.session, self.actions, self.binding)
         self.strip = LandmarkStrip(self.session, self.actions, self.binding, self.box)
         self.strip.chosen.connect(self._recall)
@@ -183,6 +189,9 @@ class CorrespondencePlace:
             )  # fmt: skip
             changed = (display.rows, display.columns) != (view.shown.rows, view.shown.columns)
             view.display(display, fit=fit or changed)
+        self.hint.setText(HINTS[self._overlaid])
+        for one in (self.colour, self.sorting, self.showing):
+            one.setVisible(not self._overlaid)
         self.inspector.show_points(self.box, self.second)
         self.strip.show_marks()
         self.session.edit_count += 1  # what can be done depends on what is picked

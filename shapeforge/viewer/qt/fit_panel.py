@@ -80,13 +80,12 @@ class FitPlace:
         )
 
     def enter(self) -> None:
-        """Look at the selected shape, else at the first exemplar."""
+        """Look at the selected shape, else at one that has to be explained (an exemplar is so from the start)."""
         session = self.session
-        if session.shape is None and session.project.names:
-            groups = groups_of(session)
-            session.shape = session.project.names[int(groups.exemplars[0]) if groups is not None else 0]
         if not session.watched:
             session.watched = self._default_watched()
+        if session.shape is None and session.watched:
+            session.shape = session.watched[0]
         self.binding.safely(self._show_all)
         self._show_run()
 
@@ -152,6 +151,7 @@ class FitPlace:
     def _make_inspector(self) -> QWidget:
         self.report = FitReport()
         self.report.watch.connect(self._watch_all)
+        self.report.override.connect(self._override)
         self.correct = action_button(self.actions, "correct", self.binding)
         self.correct_text = label("", "caption", wrap=True)
         self.next = action_button(
@@ -303,6 +303,7 @@ class FitPlace:
             self._layer(name, "parts") if known else None, self.by.value_text(),
         )  # fmt: skip
         self.view.display(display, fit=first)
+        self.view.fit_if_cut()
         shape = session.project.shapes.named(name)
         self.heads[0][1].setText(f"{name}, {grouped(shape.n_points)} points")
         if now is None:
@@ -395,14 +396,16 @@ class FitPlace:
         self.correct_text.setText("The next fit takes it as evidence." if can else why)
         newest = self.record.newest
         self.round_text.setText(f"Round {max(newest, 0)} of {self.record.planned}" if newest >= 0 else "Not fitted yet")
-        left = progress.seconds_left if mine and progress is not None else None
+        left = progress.seconds_left if mine and progress is not None and not session.is_paused else None
         self.left_text.setText(
-            f"· {duration(left)} left" if left is not None else "· paused" if session.is_paused else ""
+            f"· {duration(left)} left" if left is not None else "· paused" if mine and session.is_paused else ""
         )
         self.phase_text.setText(self._phase(mine, finished))
 
     def _phase(self, mine: bool, finished: bool) -> str:
         session, progress = self.session, self.session.progress
+        if mine and session.is_paused:
+            return "paused; what is done is kept"
         if mine and progress is None:
             return "starting…"
         if mine:
@@ -413,6 +416,9 @@ class FitPlace:
             return f"round {progress.step + 1} is under way" if progress.phase == "fit" else progress.message
         if session.status and session.status_kind in ("error", "warning"):
             return session.status
+        status = stage_status(session).get("fit")
+        if status is not None and status.state == "stale":
+            return f"out of date: {status.reason}"
         return "done" if finished else self.actions.verdict("fit")[1] or session.status
 
     # -- what the user does ----------------------------------------------------------------------------------------
@@ -426,6 +432,15 @@ class FitPlace:
 
     def _correct(self, session: Session) -> None:
         session.place = "paint"
+
+    def _override(self, part_name: str) -> None:
+        """A part was switched off on a shape that has it: painted, it counts as seen and is never switched off."""
+        session = self.session
+        names = session.project.part_names.names if session.project.part_names is not None else ()
+        session.place = "paint"
+        if part_name in names:
+            session.part = names.index(part_name)
+        session.say(f"Paint some of the {part_name} of {session.shape}: the next fit keeps it.")
 
     def _watch_all(self, names: tuple[str, ...]) -> None:
         self.session.watched = names

@@ -30,9 +30,11 @@ class FitReport(QWidget):
     """Curves, parts, and a note about parts that are switched off; ``watch`` asks to see the shapes it names."""
 
     watch = Signal(tuple)
+    override = Signal(str)
 
     def __init__(self) -> None:
         super().__init__()
+        self._off_here = ""
         self._off: tuple[str, ...] = ()
         self.energy, self.sigma = Curves(), Curves(from_zero=True)
         self.energy_text = label("", "caption", wrap=True)
@@ -41,7 +43,11 @@ class FitReport(QWidget):
         self.note_title, self.note_text = label("", "heading", wrap=True), label("", "caption", wrap=True)
         self.note_show = button("", kind="link", tooltip="Watch these shapes below")
         self.note_show.clicked.connect(lambda: self.watch.emit(self._off))
-        words = column(self.note_title, self.note_text, 2, row(self.note_show, None), spacing=2)
+        self.note_override = button("Override")
+        self.note_override.clicked.connect(lambda: self.override.emit(self._off_here))
+        words = column(
+            self.note_title, self.note_text, 4, row(self.note_override, self.note_show, None, spacing=4), spacing=2
+        )
         sign = column(icon_label("info", "accent_text"), None)
         self.note = framed(row(sign, words, margins=(12, 10, 12, 10)), "note")
         energy = heading("Energy", "", label("nats per point", "caption"))
@@ -104,15 +110,27 @@ class FitReport(QWidget):
         off = [part for part in range(len(names)) if not beliefs.active[part]]
         if off:
             part = off[0]
+            self._off_here = names[part]
+            self.note_override.setEnabled(not session.running)
+            self.note_override.setToolTip(
+                "Stop the fit first." if session.running
+                else f"{name} has this part? Paint some of it, and the next fit keeps it."
+            )  # fmt: skip
             odds = float(beliefs.misfit[part])
             self._off = record.off_elsewhere(part, name)
             also = f" Also on {len(self._off)} other shapes." if self._off else ""
-            self.note_title.setText(f"{', '.join(names[p] for p in off)}: switched off")
-            likely = f"Its points hardly fit the surface: {100 / (1 + np.exp(-odds)):.0f}% likely to be there."
-            reason = "This exemplar has no such part." if np.isnan(odds) else likely
-            self.note_text.setText(f"{reason if odds > -np.inf or np.isnan(odds) else 'It claims no surface.'}{also}")
+            self.note_title.setText(f"{' and '.join(names[p] for p in off)} switched off".capitalize())
+            reason = "It claims no surface that another part would not."
+            if np.isnan(odds):
+                reason = "The exemplar that explains this shape best has no such part."
+            elif np.isfinite(odds):
+                reason = f"Its points hardly fit the surface: {100 / (1 + np.exp(-odds)):.0f}% likely to be there."
+            self.note_text.setText(f"{reason}{also}")
+            others = len(self._off)
             self._off = self._off[:WATCHED_AT_MOST]
-            self.note_show.setText(f"Show the {len(self._off)}" if len(self._off) > 1 else "Show it")
+            count = len(self._off)
+            all_of = f"Show the {count}" if count > 1 else "Show it"
+            self.note_show.setText(all_of if count == others else f"Show {count} of them")
             self.note_show.setVisible(bool(self._off))
             self.note.setVisible(True)
 

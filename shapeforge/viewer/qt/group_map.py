@@ -138,11 +138,11 @@ class GroupMap(QWidget):
             return
         edges = np.concatenate([self.place - 0.5, self.place + 0.5, *(corners for _, corners in self._hulls)])
         low, high = edges.min(axis=0), edges.max(axis=0)
-        # Space for the names above the hulls and the hint below.
-        size = (max(self.width() - 56, 80), max(self.height() - 92, 80))
+        # Space for the names above the hulls.
+        size = (max(self.width() - 56, 80), max(self.height() - 64, 80))
         self._tile = float(np.clip(min(size[0] / (high[0] - low[0]), size[1] / (high[1] - low[1])), 4, TILE * 1.6))
         middle = (low + high) / 2 * self._tile
-        self._offset = QPointF(self.width() / 2 - middle[0], self.height() / 2 - 2 - middle[1])
+        self._offset = QPointF(self.width() / 2 - middle[0], self.height() / 2 + 10 - middle[1])
         self.update()
 
     def at(self, index: int) -> QPointF:

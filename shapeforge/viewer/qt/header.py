@@ -11,7 +11,7 @@ from shapeforge.viewer.qt.bind import ENABLING, Binding, action_button, native
 from shapeforge.viewer.qt.icons import refresh, set_icon
 from shapeforge.viewer.qt.theme import HEADER, PADDING
 from shapeforge.viewer.qt.widgets import ElidedLabel, button, clear, icon_label, label, row, separator
-from shapeforge.viewer.runner import duration
+from shapeforge.viewer.runner import DOING, duration
 
 SHOWN_MS = 6000
 """How long good news stay; warnings and errors stay until something else is said."""
@@ -108,7 +108,7 @@ class Header(QFrame):
             return
         crumbs = [(session.project.name, self._to_collection)]
         g = group_of(session, session.shape)
-        if session.shape is None or session.place == "collection":
+        if session.shape is None or session.place in ("collection", "synthesize"):
             crumbs.append((PLACE_NAMES[session.place], self._to_collection))
         else:
             if g >= 0:
@@ -130,10 +130,10 @@ class Header(QFrame):
         elsewhere = session.project is not None and session.place not in ("collection", "fit")
         if session.running and elsewhere:
             progress = session.progress
-            text = f"{session.stage} is running"
+            text = f"{DOING.get(session.stage or '', 'Working')}…"
             if progress is not None:
-                left = f", {duration(progress.seconds_left)} left" if progress.seconds_left is not None else ""
-                text = f"{progress.stage}: {progress.phase} {progress.step} of {progress.of}{left}"
+                left = f" · {duration(progress.seconds_left)} left" if progress.seconds_left is not None else ""
+                text = f"{DOING.get(progress.stage, progress.stage)} {progress.step} of {progress.of}{left}"
             kind = "clock"
         else:
             text, kind = session.status, _SIGNS.get(session.status_kind, "info")

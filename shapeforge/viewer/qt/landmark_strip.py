@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PySide6.QtCore import Signal
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QFrame, QWidget
 
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.lightbox import Lightbox
 from shapeforge.viewer.qt.bind import Binding, action_button
-from shapeforge.viewer.qt.icons import refresh
+from shapeforge.viewer.qt.icons import refresh, set_icon
 from shapeforge.viewer.qt.widgets import (
     Clickable,
     ElidedLabel,
@@ -29,6 +29,7 @@ from shapeforge.viewer.qt.widgets import (
     row,
     separator,
 )
+from shapeforge.viewer.readiness import next_step
 from shapeforge.viewer.session import Session
 
 
@@ -41,16 +42,32 @@ class LandmarkStrip(QFrame):
         super().__init__()
         self.session, self.box = session, box
         self.marks: list[dict[str, Any]] = []
+        self.actions = actions
         self.strip_count = label("", "text2")
+        self.next = button("Next", kind="primary")
+        self.next.setLayoutDirection(Qt.LayoutDirection.RightToLeft)
+        set_icon(self.next, "right", "on_accent")
+        self.next.clicked.connect(lambda: actions.run(next_step(session)[0]))
         head = framed(
             row(label("Landmarks", "heading"), self.strip_count, None,
-                action_button(actions, "export_points", binding), margins=(16, 0, 16, 0)),
+                action_button(actions, "export_points", binding), 4, separator(vertical=True), 4, self.next,
+                margins=(16, 0, 16, 0)),
             height=44,
         )  # fmt: skip
         self.cards = row(spacing=8, margins=(16, 5, 16, 6))
         cards = QWidget()
         cards.setLayout(self.cards)
         self.setLayout(column(head, separator(), cards, spacing=0))
+
+    def show_next(self) -> None:
+        """Lead on: learn the family, or make new shapes."""
+        if self.session.project is None:
+            return
+        name, text = next_step(self.session)
+        can, why = self.actions.verdict(name)
+        self.next.setText(text)
+        self.next.setEnabled(can)
+        self.next.setToolTip(self.actions[name].tooltip if can else why)
 
     def reload(self) -> None:
         """Look at what is kept on the present fit."""

@@ -7,13 +7,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from PySide6.QtCore import QEvent, QRectF, Qt, Signal
 from PySide6.QtGui import QColor, QPainter, QPen, QPixmap
-from PySide6.QtWidgets import QAbstractButton, QApplication, QFrame, QHBoxLayout, QLineEdit, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QAbstractButton, QApplication, QFrame, QHBoxLayout, QVBoxLayout, QWidget
 
 from shapeforge.viewer.painter import TOOL_NAMES
 from shapeforge.viewer.qt.icons import pixmap, set_icon
 from shapeforge.viewer.qt.theme import colours, font
 from shapeforge.viewer.qt.widgets import (
     Clickable,
+    EditableName,
     ElidedLabel,
     Picture,
     Swatch,
@@ -84,24 +85,21 @@ class PartRow(Clickable):
 
     def __init__(self, name: str, colour: str, key: str) -> None:
         # Made before QFrame's own start because the layout is its argument; signals are tied after it.
-        self.name = label(name, "strong")
-        self.editor = QLineEdit(name)
-        self.editor.setVisible(False)
-        self.editor.setFixedHeight(22)
+        self.name = EditableName(name)
+        self.editor = self.name.editor
         self.share = label("0%", "text2")
         self.eye = button(icon="eye", kind="icon", tooltip="Show or hide this part")
         self.eye.setStyleSheet("min-width: 20px; max-width: 20px; min-height: 18px; max-height: 18px;")
         self.eye.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.bar = ShareBar(3)
         self.colour = colour
-        top = row(Swatch(colour, size=16), 2, self.name, self.editor, None, self.share, self.eye, spacing=6)
+        top = row(Swatch(colour, size=16), 2, self.name, None, self.share, self.eye, spacing=6)
         if key:
             top.addWidget(label(key, "keycap"))
         below = row(self.bar, margins=(26, 0, 0, 0))
         super().__init__(column(top, below, spacing=3, margins=(8, 4, 8, 5)), "row")
-        self._renaming = False
         self.eye.clicked.connect(self.eye_clicked)
-        self.editor.editingFinished.connect(self._renamed)
+        self.name.renamed.connect(self.renamed)
         self.setFixedHeight(38)
         self.setToolTip("Click to paint with it, Ctrl-click to select a second, double-click to rename")
         self.double_clicked.connect(self.rename)
@@ -123,20 +121,7 @@ class PartRow(Clickable):
 
     def rename(self) -> None:
         """Edit the name in place."""
-        self._renaming = True
-        self.name.hide()
-        self.editor.setText(self.name.text())
-        self.editor.show()
-        self.editor.setFocus()
-        self.editor.selectAll()
-
-    def _renamed(self) -> None:
-        if self._renaming:  # told twice: by Return, and again when the editor loses the focus
-            self._renaming = False
-            self.editor.hide()
-            self.name.show()
-            if self.editor.text() != self.name.text():
-                self.renamed.emit(self.editor.text())
+        self.name.start()
 
 
 class ToolButton(QAbstractButton):

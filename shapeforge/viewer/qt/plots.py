@@ -12,9 +12,9 @@ from PySide6.QtWidgets import QWidget
 from shapeforge.viewer import palette
 from shapeforge.viewer.qt.theme import font
 
-HEIGHT = 128
-LEFT, RIGHT, TOP, BOTTOM = 36, 8, 8, 34
-"""Pixels around the plot: numbers of the value axis, room for the last dot, numbers and name of the other axis."""
+HEIGHT = 110
+LEFT, RIGHT, TOP, BOTTOM = 44, 8, 8, 24
+"""Pixels around the plot: numbers of the value axis, room for the last dot, numbers of the other axis."""
 
 Series = tuple[np.ndarray, np.ndarray, str]
 
@@ -74,8 +74,8 @@ class Curves(QWidget):
                 painter.drawText(QRectF(0, y - 8, LEFT - 8, 16), right, f"{tick:g}".replace("-", "−"))
         painter.setPen(QColor(tokens["text_2"]))
         for number in range(0, self._last + 1, max(1, int(np.ceil(self._last / 5)))):
-            painter.drawText(QRectF(place(number, 0).x() - 16, box.bottom() + 4, 32, 14), middle, str(number))
-        painter.drawText(QRectF(box.left(), box.bottom() + 18, box.width(), 14), middle, self._x_name)
+            painter.drawText(QRectF(place(number, 0).x() - 16, box.bottom() + 8, 32, 14), middle, str(number))
+        painter.drawText(QRectF(0, box.bottom() + 8, LEFT - 8, 14), right, self._x_name)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         if self._at is not None and len(flat):
             painter.setPen(QPen(QColor(tokens["text_2"]), 1, Qt.PenStyle.DotLine))

@@ -209,6 +209,8 @@ class SynthesizePlace:
                 self._show_pictures()
                 self.session.edit_count += 1  # the mesh can be exported now
             self._show()
+            if not result.preview:
+                self.view.fit_if_cut()
 
     def _slid(self, index: int, value: float) -> None:
         self.session.sliders = {**self.session.sliders, index: value}
@@ -228,6 +230,7 @@ class SynthesizePlace:
 
     def _after_step(self) -> None:
         self.session.edit_count += 1
+        self.view.fit_if_cut()
         self._ask()
         self._show_history()
 
@@ -271,6 +274,7 @@ class SynthesizePlace:
     def _go_to(self, index: int) -> None:
         self.sculptor.go_to(index)
         self._wanted()
+        self.view.fit_if_cut()
         self.session.edit_count += 1
         self._show_history()
 
@@ -283,9 +287,8 @@ class SynthesizePlace:
             return
         names = self.sculptor.shape_names
         chosen = [name for name in self.session.selected if name in names][:2]
-        nearest, _ = self.sculptor.nearest(self._points)
-        others = [name for name in dict.fromkeys((nearest, *names[::-1])) if name not in chosen]
-        ends = (chosen + others)[:2] if len(names) > 1 else [names[0], names[0]]
+        first = chosen[0] if chosen else self.sculptor.nearest(self._points)[0]
+        ends = chosen if len(chosen) == 2 else [first, self.sculptor.other_end(first)]
         self._ends_chosen(ends[0], ends[1])
         self._between_released()
 

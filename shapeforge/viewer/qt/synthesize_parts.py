@@ -128,11 +128,12 @@ class FamilyMap(QWidget):
             painter.setPen(pen)
             painter.drawLine(QPointF(ax, ay), QPointF(bx, by))
             painter.setFont(font(11, 600))
-            for x, y, name in ((ax, ay, "A"), (bx, by, "B")):
+            side = 1 if ax <= bx else -1  # each letter on the side away from the other end
+            for x, y, name, way in ((ax, ay, "A", -side), (bx, by, "B", side)):
                 painter.setPen(QPen(QColor(tokens["text"]), 1.6))
                 painter.setBrush(QColor(tokens["view"]))
                 painter.drawEllipse(QPointF(x, y), 4, 4)
-                painter.drawText(QPointF(x + 8, y + 4), name)
+                painter.drawText(QPointF(x + (8 if way > 0 else -16), y + 4), name)
         if self.here is not None and len(self.places):
             x, y = self._to_pixels(np.array(self.here))
             painter.setPen(QPen(QColor("#FFFFFF"), 1.6))
@@ -141,6 +142,8 @@ class FamilyMap(QWidget):
             painter.setPen(QColor(tokens["text"]))
             painter.setFont(font(11, 600))
             left = min(max(x - 50, 2), self.width() - 102)
+            if self.ends is not None and np.linalg.norm(pixels[list(self.ends)] - (x, y), axis=1).min() < 40:
+                return  # between two shapes close by, their letters say where
             painter.drawText(
                 QRectF(left, y - 22 if y > 26 else y + 8, 100, 14), Qt.AlignmentFlag.AlignCenter, "you are here"
             )

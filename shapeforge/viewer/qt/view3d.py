@@ -33,6 +33,7 @@ ZOOM_PER_STEP = 0.88
 SCALE_LIMITS = (0.02, 3.0)
 _RGB = QImage.Format.Format_RGB888
 CLICK_SLACK = 4  # logical pixels a press may wander and still be a click
+NEAR = (3.0, 6.0)  # logical pixels beside a thin leg that still mean the leg
 
 
 class View3D(QWidget):
@@ -122,25 +123,51 @@ class View3D(QWidget):
         if not self._user_camera:
             self._fit_now()
 
-    def _fit_now(self) -> None:
-        views = [
+    def fit_if_cut(self) -> None:
+        """Fit again when what is shown sticks out of its cell, unless the user has placed the camera."""
+        if self._user_camera:
+            return
+        for i, (points, (x, y, width, height)) in enumerate(zip(self._contents(), self.rectangles(), strict=False)):
+            if len(points):
+                places = project(self._camera(i), points, (x, y, width, height))
+                if (places < (x, y)).any() or (places > (x + width, y + height)).any():
+                    self._fit_now()
+                    return
+
+    def _contents(self) -> list[np.ndarray]:
+        """Finite corners and points (n, 3) shown in each cell."""
+        all_of = [
             np.concatenate([
                 layer.vertices if isinstance(layer, MeshLayer) else layer.positions
                 for layer in view.layers if isinstance(layer, MeshLayer | PointLayer)
             ] or [np.zeros((0, 3))])
             for view in self.scene.display.views
         ]  # fmt: skip
-        views = [points[np.isfinite(points).all(axis=1)] for points in views]
-        views = [points for points in views if len(points)]
+        return [points[np.isfinite(points).all(axis=1)] for points in all_of]
+
+    def _fit_now(self) -> None:
+        views = [points for points in self._contents() if len(points)]
         cells = self.rectangles()
         if not views or not cells:
             return
-        aspect = cells[0][2] / max(cells[0][3], 1)
-        margin = 1.16 if len(cells) == 1 else 1.34
-        frames = [frame_of(points, aspect, VIEW_DIRECTION, margin) for points in views]
-        focus = np.mean([focus for focus, _ in frames], axis=0)
-        place_camera(self.scene.camera, tuple(float(x) for x in focus), max(scale for _, scale in frames))
+        _, _, width, height = cells[0]
+        # Words are above and below the shape, so that neither covers the other.
+        line, margin = (19, 1.1) if len(self.scene.display.views) > 3 else (22, 1.16)
+        above, below = (line * self._lines(where) for where in ("top", "bottom"))
+        free = max(height - above - below, 0.4 * height)
+        focus, scale = frame_of(np.concatenate(views), width / free, VIEW_DIRECTION, margin)
+        scale *= height / free
+        place_camera(self.scene.camera, focus, scale)
+        self._shift(np.array([0.0, (above - below) * scale / height]))
         self.camera_changed()
+
+    def _lines(self, where: str) -> int:
+        """How many lines of words stand at the "top" or "bottom" of the cells."""
+        shown = self.scene.display.views
+        words = [len(caption.lines) for view in shown for caption in view.captions if caption.corner.startswith(where)]
+        # Cells of a grid keep room for two lines above: the second one comes with the first click.
+        usual = 2 if where == "top" and len(shown) > 3 else 0
+        return max([usual, *words, *(1 for view in shown if where == "bottom" and view.confidence is not None)])
 
     def turn_to(self, azimuth: Number, elevation: Number) -> None:
         """Look from ``azimuth`` degrees (0 is the front, +z) and ``elevation`` degrees above the floor."""
@@ -228,6 +255,18 @@ class View3D(QWidget):
         layers = self.scene.display.views[cell].meshes()
         return self.picker.pick(self._camera(cell), layers, (x, y), self.rectangles()[cell], cell)
 
+    def pick_near(self, x: Number, y: Number) -> Pick | None:
+        """What lies at (x, y) or, where that is the ground, within a few pixels of it: a slat or a leg is thin."""
+        found = self.pick(x, y)
+        cell = self.cell_at(x, y)
+        for distance in NEAR if found is None else ():
+            for turn in range(8):
+                a, b = x + distance * math.cos(turn * math.pi / 4), y + distance * math.sin(turn * math.pi / 4)
+                found = self.pick(a, b) if self.cell_at(a, b) == cell else None
+                if found is not None:
+                    return found
+        return found
+
     def place_of(self, position: Any, cell: int = 0) -> tuple[float, float]:
         """Logical place (x, y) of a position on the shape of a cell: the inverse of picking, for tests and handles."""
         place = project(self._camera(cell), np.asarray(position, float)[None], self.rectangles()[cell])[0]
@@ -305,7 +344,7 @@ class View3D(QWidget):
         here = event.position()
         step, self._last = here - self._last, here
         if self._drag is None:
-            self.hovered.emit(self.pick(here.x(), here.y()))
+            self.hovered.emit(self._meant(here))
         elif self._drag == "paint":
             self.dragged.emit(self.pick(here.x(), here.y()), event.modifiers())
         elif self._drag == "pull":
@@ -327,8 +366,12 @@ class View3D(QWidget):
         if drag in ("paint", "pull"):
             self.released.emit()
         if (here - self._press).manhattanLength() <= CLICK_SLACK and event.button() == Qt.MouseButton.LeftButton:
-            self.clicked.emit(self.pick(here.x(), here.y()), event.modifiers())
+            self.clicked.emit(self._meant(here), event.modifiers())
         return True
+
+    def _meant(self, here: QPointF) -> Pick | None:
+        """A brush paints exactly what is under it; a finger that points may miss by a little."""
+        return (self.pick if self.left_paints else self.pick_near)(here.x(), here.y())
 
     def _on_wheel(self, event: QWheelEvent) -> bool:
         delta = event.angleDelta().y() or event.angleDelta().x()  # Alt turns the wheel sideways on some systems

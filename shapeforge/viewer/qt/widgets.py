@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
+from PySide6.QtCore import QEvent, QObject, QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import (
     QColor,
     QFontMetrics,
@@ -21,10 +21,12 @@ from PySide6.QtGui import (
 )
 from PySide6.QtWidgets import (
     QAbstractButton,
+    QApplication,
     QBoxLayout,
     QFrame,
     QHBoxLayout,
     QLabel,
+    QLineEdit,
     QMenu,
     QPushButton,
     QScrollArea,
@@ -378,6 +380,57 @@ class Clickable(QFrame):
             self.clicked.emit()
         else:
             super().keyPressEvent(event)
+
+
+class EditableName(QWidget):
+    """A name that can be edited in place: ``start()`` opens the editor, Return ends it, Escape gives it up."""
+
+    renamed = Signal(str)
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self._label = label(name, "strong")
+        self.editor = QLineEdit(name)
+        self.editor.setFixedHeight(22)
+        self.editor.setVisible(False)
+        self.editor.setAccessibleName("Name")
+        self.editor.installEventFilter(self)
+        self.editor.editingFinished.connect(self._end)
+        self._editing = False
+        self._before: QWidget | None = None
+        self.setLayout(row(self._label, self.editor, spacing=0))
+
+    def text(self) -> str:
+        """The name shown."""
+        return self._label.text()
+
+    def start(self) -> None:
+        """Edit it; the focus goes back to where it is now."""
+        self._editing, self._before = True, QApplication.focusWidget()
+        self._label.hide()
+        self.editor.setText(self._label.text())
+        self.editor.show()
+        self.editor.setFocus()
+        self.editor.selectAll()
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        if event.type() in (QEvent.Type.KeyPress, QEvent.Type.ShortcutOverride) and event.key() == Qt.Key.Key_Escape:
+            event.accept()  # before the window's own Escape
+            if event.type() == QEvent.Type.KeyPress:
+                self.editor.setText(self._label.text())
+                self._end()
+            return True
+        return False
+
+    def _end(self) -> None:
+        if self._editing:  # told twice: by Return, and again when the editor loses the focus
+            self._editing = False
+            if self.editor.hasFocus() and self._before is not None:
+                self._before.setFocus()
+            self.editor.hide()
+            self._label.show()
+            if self.editor.text() != self._label.text():
+                self.renamed.emit(self.editor.text())
 
 
 class Picture(QWidget):

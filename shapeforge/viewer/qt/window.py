@@ -304,6 +304,8 @@ class Window(QWidget):
         news = self.runner.take()
         if news is not None:
             deliver(news, self.session)
+            if self.runner.paused:  # a single step is over
+                self.session.is_paused = True
 
     # -- the window itself -----------------------------------------------------------------------------------------
 

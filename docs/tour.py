@@ -1,0 +1,407 @@
+"""Pictures of the window, made by using it: ``python docs/tour.py`` (without a screen: ``xvfb-run`` is called for you).
+
+A family of chairs is generated and taken through all stages in a temporary folder, or in ``--project DIR``, which is
+used again when it is there.  Then the real window is opened on it, and every place is used with mouse and keys before
+its picture is taken from the screen.  ``--all`` adds what `docs/tour.md` does not show: empty, busy and failed states.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))
+SMALL, LARGE = (1280, 800), (2560, 1440)
+SHAPES, POINTS = 20, 1500
+LONGEST = 120.0
+"""Seconds that anything in the window may take."""
+IN_DOCS = (
+    "collection-dark", "paint-dark", "fit-dark", "correspondence-dark", "synthesize-dark",
+    "collection-light", "fit-light", "correspondence-light", "synthesize-light", "correspondence-large",
+)  # fmt: skip
+
+
+def make_project(folder: Path) -> Path:
+    """A generated family, imported, grouped, its exemplars labelled, fitted and learned: the project's folder."""
+    from shapeforge.collection.families import write_family
+    from shapeforge.collection.iterate import last
+    from shapeforge.stages import run
+    from shapeforge.store import Project
+
+    truth, place = folder / "meshes", folder / "chairs"
+    if (folder / "made").is_file():
+        return place
+    write_family(truth, "chairs", SHAPES, seed=7, classes=["side", "armchair", "stool", "bench"], broken=0.0)
+    project = Project.create(place)
+    options: dict[str, dict[str, Any]] = {
+        "import": {"meshes": [truth], "points": POINTS, "up": "keep", "seed": 0}, "group": {"seed": 0},
+        "label": {"labels": truth, "only": "exemplars"}, "fit": {"rounds": 8, "seed": 0}, "learn": {"seed": 0},
+    }  # fmt: skip
+    for stage, chosen in options.items():
+        print(f"{stage}…", flush=True)
+        last(run(project, stage, jobs=1, **chosen))
+    (folder / "made").write_text("")
+    return place
+
+
+def make_fresh(folder: Path) -> Path:
+    """A few shapes imported and grouped, two files that cannot be read, nothing painted: the project's folder."""
+    from shapeforge.collection.families import write_family
+    from shapeforge.collection.iterate import last
+    from shapeforge.stages import run
+    from shapeforge.store import Project
+
+    files, place = folder / "files", folder / "new chairs"
+    write_family(files, "chairs", 8, seed=3)
+    (files / "empty.obj").write_text("v 0 0 0\n")
+    (files / "notes.obj").write_text("This is no mesh.\n")
+    project = Project.create(place)
+    last(run(project, "import", meshes=[files], points=400, jobs=1))
+    last(run(project, "group", jobs=1))
+    return place
+
+
+def in_few_colours(image: Any) -> Any:
+    """The picture with a palette of 256: rare colours (marks, dots) count more than their area says."""
+    import numpy as np
+    from PIL import Image
+    from scipy.spatial import cKDTree
+    from sklearn.cluster import MiniBatchKMeans
+
+    pixels = np.asarray(image).reshape(-1, 3)
+    seen, which, count = np.unique(pixels, axis=0, return_inverse=True, return_counts=True)
+    centres = seen
+    if len(seen) > 256:
+        means = MiniBatchKMeans(256, n_init=1, batch_size=4096, random_state=0)
+        # The square root tells dark greys apart: the shadow on the floor has no steps.
+        centres = means.fit(np.sqrt(seen / 255), sample_weight=count**0.4).cluster_centers_ ** 2 * 255
+    palette = np.round(centres).astype(np.uint8)
+    index = cKDTree(palette).query(seen)[1].astype(np.uint8)[which.ravel()]
+    result = Image.fromarray(index.reshape(image.height, image.width), "P")
+    result.putpalette(palette.ravel().tolist())
+    return result
+
+
+class Tour:
+    """A window in hand: keys, clicks and pictures."""
+
+    def __init__(self, out: Path, scratch: Path, everything: bool) -> None:
+        from PySide6.QtWidgets import QApplication
+
+        self.out, self.scratch, self.everything, self.count = out, scratch, everything, 0
+        self.application = QApplication.instance() or QApplication(sys.argv[:1])
+        self.application.setStyle("Fusion")
+        self.window: Any = None
+
+    # -- hands -----------------------------------------------------------------------------------------------------
+
+    def open(self, project: Path | None, theme: str, size: tuple[int, int], place: str = "collection") -> Any:
+        """A window on a project; what was open is closed."""
+        from shapeforge.store import Project
+        from shapeforge.viewer.qt.window import Window
+
+        self.close()
+        self.window = Window()
+        self.window.move(0, 0)
+        self.window.resize(*size)
+        if project is not None:
+            copy = self.scratch / f"{self.count}" / "chairs"
+            self.count += 1
+            shutil.copytree(project, copy)
+            self.window.session.open(Project.open(copy))
+        self.window.session.theme = theme
+        self.window.show()
+        self.window.activateWindow()
+        self.wait(lambda: self.window.isActiveWindow())
+        self.go(place)
+        return self.window
+
+    def close(self) -> None:
+        """Close the window, if one is open."""
+        if self.window is not None:
+            self.window.close()
+            self.window.deleteLater()
+            self.window = None
+            self.pause(0.1)
+
+    def go(self, place: str) -> Any:
+        """Click a place in the rail; what comes back is the place."""
+        if self.window.session.project is None:
+            return None
+        if self.window.session.place != place:
+            self.click(self.window.rail.places[place])
+        if self.window.session.place != place:
+            raise RuntimeError(f"the rail did not go to {place}: {self.window.session.status}")
+        return self.window.places[place]
+
+    def pause(self, seconds: float) -> None:
+        """Let the window work."""
+        from PySide6.QtCore import QEvent
+
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.application.processEvents()
+            self.application.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)
+            time.sleep(0.005)
+
+    def wait(self, until: Callable[[], bool], what: str = "") -> None:
+        """Let the window work until something is so."""
+        end = time.monotonic() + LONGEST
+        while not until():
+            if time.monotonic() > end:
+                raise TimeoutError(f"{what or until} did not come about in {LONGEST:.0f} s")
+            self.pause(0.02)
+
+    def click(self, widget: Any, at: tuple[float, float] | None = None, *, control: bool = False) -> None:
+        """A real click, in the middle of a widget or at a place of it."""
+        from PySide6.QtCore import QPoint, Qt
+        from PySide6.QtTest import QTest
+
+        keys = Qt.KeyboardModifier.ControlModifier if control else Qt.KeyboardModifier.NoModifier
+        place = widget.rect().center() if at is None else QPoint(round(at[0]), round(at[1]))
+        QTest.mouseMove(widget, place)
+        QTest.mouseClick(widget, Qt.MouseButton.LeftButton, keys, place)
+        self.pause(0.1)
+
+    def drag(self, widget: Any, places: list[tuple[float, float]], *, let_go: bool = True) -> None:
+        """A real drag of the left button through places of a widget."""
+        from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
+        from PySide6.QtGui import QMouseEvent
+        from PySide6.QtTest import QTest
+
+        left, none = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
+        points = [QPoint(round(x), round(y)) for x, y in places]
+        QTest.mousePress(widget, left, none, points[0])
+        for point in points[1:]:  # QTest's own move forgets the button
+            there = QPointF(widget.mapToGlobal(point))
+            event = QMouseEvent(QEvent.Type.MouseMove, QPointF(point), there, Qt.MouseButton.NoButton, left, none)
+            self.application.sendEvent(widget, event)
+            self.pause(0.03)
+        if let_go:
+            QTest.mouseRelease(widget, left, none, points[-1])
+
+    def hover(self, widget: Any, at: tuple[float, float]) -> None:
+        """Rest the pointer at a place of a widget."""
+        from PySide6.QtCore import QEvent, QPointF, Qt
+        from PySide6.QtGui import QMouseEvent
+
+        none, here = Qt.MouseButton.NoButton, QPointF(*at)
+        there = QPointF(widget.mapToGlobal(here.toPoint()))
+        no_key = Qt.KeyboardModifier.NoModifier
+        self.application.sendEvent(widget, QMouseEvent(QEvent.Type.MouseMove, here, there, none, none, no_key))
+        self.pause(0.1)
+
+    def key(self, key: str) -> None:
+        """Press a key, in the centre of the present place."""
+        from PySide6.QtTest import QTest
+
+        QTest.keyClick(self.window.places[self.window.session.place].centre, key)
+        self.pause(0.1)
+
+    def settled(self, view: Any) -> None:
+        """Wait until a view has drawn itself with smooth edges."""
+        self.wait(lambda: view.at_rest, "a view at rest")
+        self.pause(0.4)
+        self.wait(lambda: view.at_rest, "a view at rest")
+        self.pause(0.3)
+
+    def picture(self, name: str) -> None:
+        """Take the window from the screen and save it as a small PNG."""
+        from PIL import Image
+        from PySide6.QtGui import QImage
+
+        self.pause(0.3)
+        window = self.window
+        shot = window.windowHandle().screen().grabWindow(window.winId()).toImage()
+        shot = shot.convertToFormat(QImage.Format.Format_RGB888)
+        image = Image.frombytes(
+            "RGB", (shot.width(), shot.height()), bytes(shot.constBits()), "raw", "RGB", shot.bytesPerLine()
+        )
+        self.out.mkdir(parents=True, exist_ok=True)
+        file = self.out / f"{name}.png"
+        in_few_colours(image).save(file, optimize=True)
+        print(f"{file} {file.stat().st_size // 1024} kB", flush=True)
+
+    def wanted(self, name: str) -> bool:
+        """Whether this run makes the picture ``name``."""
+        return self.everything or name in IN_DOCS
+
+    # -- places ----------------------------------------------------------------------------------------------------
+
+    def collection(self) -> None:
+        """The map with all its pictures, one shape selected and the pointer on another."""
+        place = self.go("collection")
+        self.pause(0.5)
+        self.wait(lambda: place.pictures.waiting == 0, "the pictures of the map")
+        self.pause(0.6)
+
+    def paint(self) -> None:
+        """The first exemplar: a part of its back is erased, one stroke paints some of it again, the pointer rests."""
+        project = self.window.session.project
+        self.window.session.shape = project.names[int(project.groups.exemplars[0])]
+        place = self.go("paint")
+        self.settled(place.view)
+        view, painter = place.view, place.painter
+        names = list(project.part_names.names)
+        back = painter.surface.centres[painter.state.labels == names.index("back")]
+        low, high = back.min(axis=0), back.max(axis=0)
+        across = [low + (high - low) * (x, 0.9, 0.7) for x in (0.1, 0.3, 0.5, 0.7, 0.9)]
+        stroke = [view.place_of(point) for point in across]
+        self.key("E")
+        self.drag(view.plotter, stroke)
+        self.key("B")
+        self.key(str(names.index("back") + 1))
+        self.drag(view.plotter, stroke[:3])
+        self.settled(view)
+        self.hover(view.plotter, stroke[2])
+
+    def fit(self) -> None:
+        """A finished fit."""
+        place = self.go("fit")
+        self.pause(0.3)
+        self.settled(place.view)
+
+    def correspondence(self) -> None:
+        """One click on the first shape lights a point up on all, a second one measures."""
+        place = self.go("correspondence")
+        self.settled(place.view)
+        for direction in ((-0.6, 1.0, 0.0), (0.6, -0.1, 1.0)):
+            self.click(place.view.plotter, self.seen(place, direction))
+        if self.window.session.picked is None or place.second is None:
+            raise RuntimeError("the clicks on the first shape picked nothing")
+        self.settled(place.view)
+
+    def seen(self, place: Any, direction: tuple[float, float, float]) -> tuple[float, float]:
+        """Where in the first cell the outermost visible template point in a direction is seen."""
+        positions = place.box.shape(place.names[0]).positions
+        for point in (-positions @ direction).argsort():
+            at = place.view.place_of(positions[point], 0)
+            hit = place.view.pick(*at)
+            if hit is not None and abs(hit.position - positions[point]).max() < 0.02:
+                return at
+        raise RuntimeError(f"nothing of {place.names[0]} is seen")
+
+    def synthesize(self) -> None:
+        """A shape between two of the family, its first slider pulled to the right."""
+        place = self.go("synthesize")
+        self.settled(place.view)
+        self.key("B")
+        slider = place.inspector.rows[0].slider
+        middle, y = slider.width() / 2, slider.height() - 8
+        self.drag(slider, [(slider.x_of(slider.value), y), (middle + 20, y), (middle + 40, y)])
+        self.wait(lambda: place.made is not None and not place.made.preview, "a mesh")
+        self.settled(place.view)
+
+    # -- other states ----------------------------------------------------------------------------------------------
+
+    def others(self, project: Path, only: str) -> None:
+        """Empty, busy and failed states."""
+        fresh = make_fresh(self.scratch / "fresh")
+        for theme in ("dark", "light"):
+            for state in ("start", "problems", "unpainted", "busy", "random", "grid", "landmarks"):
+                if only in (name := f"{state}-{theme}"):
+                    getattr(self, state)(fresh if state in ("problems", "unpainted") else project, theme)
+                    self.picture(name)
+
+    def start(self, _project: Path, theme: str) -> None:
+        """No project yet."""
+        self.open(None, theme, SMALL)
+
+    def problems(self, project: Path, theme: str) -> None:
+        """Files that were not read are named."""
+        self.open(project, theme, SMALL)
+        self.collection()
+
+    def unpainted(self, project: Path, theme: str) -> None:
+        """Paint, before the first part."""
+        self.open(project, theme, SMALL)
+        self.click(self.window.places["collection"].strip.next)
+        self.settled(self.window.places["paint"].view)
+
+    def busy(self, project: Path, theme: str) -> None:
+        """A fit paused in its second round, seen as a grid."""
+        self.open(project, theme, SMALL)
+        place = self.go("fit")
+        for number in (0, 1):
+            self.click(place.step)
+            self.wait(lambda n=number: place.record.newest == n and self.window.runner.paused, "a round")
+        self.pause(0.3)
+        self.settled(place.view)
+
+    def random(self, project: Path, theme: str) -> None:
+        """A shape drawn from what was learned."""
+        self.open(project, theme, SMALL)
+        place = self.go("synthesize")
+        self.key("R")
+        self.key("R")
+        self.wait(lambda: place.made is not None and not place.made.preview, "a mesh")
+        self.settled(place.view)
+
+    def grid(self, project: Path, theme: str) -> None:
+        """The collection in rows; the fit as a grid is the same kind of picture."""
+        self.open(project, theme, SMALL)
+        self.click(self.window.places["collection"].mode.button("grid"))
+        self.collection()
+
+    def landmarks(self, project: Path, theme: str) -> None:
+        """Two landmarks kept, two shapes laid over each other."""
+        self.open(project, theme, SMALL)
+        self.correspondence()
+        self.key("K")
+        place = self.window.places["correspondence"]
+        for cell in (0, 2):
+            shape = place.box.shape(place.names[cell])
+            middle = shape.vertices[abs(shape.vertices[:, 0]).argmin()]
+            self.click(place.view.plotter, place.view.place_of(middle, cell), control=True)
+        self.key("O")
+        self.settled(place.view)
+
+
+def main() -> int:
+    """Make the pictures; the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=HERE / "tour", help="folder of the pictures")
+    parser.add_argument("--project", type=Path, help="folder in which the family is kept for the next time")
+    parser.add_argument("--only", default="", help="only pictures whose name contains this")
+    parser.add_argument("--all", action="store_true", help="also pictures that docs/tour.md does not show")
+    given = parser.parse_args()
+    if not os.environ.get("SHAPEFORGE_TOUR") and shutil.which("xvfb-run"):
+        screen = f"-screen 0 {LARGE[0]}x{LARGE[1]}x24"
+        command = ["xvfb-run", "-a", "-s", screen, sys.executable, *sys.argv]
+        return subprocess.run(command, env={**os.environ, "SHAPEFORGE_TOUR": "1"}).returncode
+    os.environ.setdefault("QT_QPA_PLATFORM", "xcb")
+    os.environ.setdefault("QT_API", "pyside6")
+    scratch = Path(tempfile.mkdtemp(prefix="shapeforge-tour-"))
+    try:
+        project = make_project((given.project or scratch).absolute())
+        tour = Tour(given.out, scratch, given.all)
+        for theme in ("dark", "light"):
+            for place in ("collection", "paint", "fit", "correspondence", "synthesize"):
+                name = f"{place}-{theme}"
+                if tour.wanted(name) and given.only in name:
+                    tour.open(project, theme, SMALL)
+                    getattr(tour, place)()
+                    tour.picture(name)
+        if tour.wanted("correspondence-large") and given.only in "correspondence-large":
+            tour.open(project, "dark", LARGE)
+            tour.correspondence()
+            tour.picture("correspondence-large")
+        if tour.everything:
+            tour.others(project, given.only)
+        tour.close()
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
