@@ -173,13 +173,10 @@ def fit_templates(
     if resume is None:
         templates = tuple(_exemplar_templates(shapes, groups, labels, part_names, seeds))
         owners = _template_of_group(groups, templates, shapes)
-        starts = list(
-            in_order(
-                executor, _start, each_shape(), [labels.get(t) for t in range(len(shapes))],
-                repeat(shared(executor, templates)),
-                [owners[g] if g >= 0 else 0 for g in groups.group], repeat(exemplars_per_shape),
-                seeds if seeds is not None else repeat(None),
-            )
+        starts = in_order(
+            executor, _start, each_shape(), [labels.get(t) for t in range(len(shapes))],
+            repeat(shared(executor, templates)), [owners[g] if g >= 0 else 0 for g in groups.group],
+            repeat(exemplars_per_shape), seeds if seeds is not None else repeat(None),
         )  # fmt: skip
         state = FitState(
             0, rounds, "affine start", float("nan"), float("nan"), initial_covariances(), float("nan"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -107,6 +109,44 @@ def same(a, b) -> bool:
 def test_same_bytes_with_any_number_of_workers(family, states):
     with ThreadPoolExecutor(3) as executor:
         assert same(run(family, executor=executor)[-1], states[-1])
+
+
+def test_only_the_state_at_hand_is_held_and_in_single_precision(family):
+    shapes, groups, truth, names = family
+    rounds = fit_templates(shapes, groups, {0: truth[0], 5: truth[5]}, names, rounds=2, rng=np.random.default_rng(0))
+    earlier = []
+    for state in rounds:
+        gc.collect()
+        assert all(array() is None for array in earlier), "arrays of an earlier round are still held"
+        held = [candidate.beliefs for tried in state.candidates for candidate in tried]
+        assert {b.deformed.dtype for b in held} | {b.segmentation.dtype for b in held} == {np.dtype(np.float32)}
+        earlier = [weakref.ref(b.deformed) for b in held] + [weakref.ref(b.segmentation) for b in held]
+        assert all(array() is not None for array in earlier)
+        del held, state
+
+
+def test_shapes_are_read_as_they_are_needed(family):
+    shapes, groups, truth, names = family
+    taken = []
+
+    class Lazy(list):
+        def __getitem__(self, index):
+            taken.append(index)
+            return super().__getitem__(index)
+
+    class Watchful(ThreadPoolExecutor):
+        def submit(self, *call, **options):
+            ahead.append(len(taken) - done[0])
+            future = super().submit(*call, **options)
+            future.add_done_callback(lambda _: done.__setitem__(0, done[0] + 1))
+            return future
+
+    ahead, done = [], [0]
+    many = Lazy(shapes * 4)
+    everyone = Groups(("a",), np.zeros(len(many), int), np.array([0]), np.zeros((len(many), 2)))
+    with Watchful(1) as executor:
+        next(fit_templates(many, everyone, {0: truth[0]}, names, rng=np.random.default_rng(0), executor=executor))
+    assert len(taken) >= len(many) and max(ahead) <= ahead[0] + 3, "two calls for the worker and the next shape"
 
 
 def test_a_resumed_fit_equals_an_uninterrupted_one(family, states):
