@@ -148,11 +148,10 @@ def fitted(family: LabelledFamily, groups: Groups, rounds: int, labels: dict, na
     }  # fmt: skip
 
 
-def run(
-    name: str, count: int | None, n_points: int, rounds: int, seed: int, proposal_only: bool, unpainted: bool
-) -> dict | None:
-    """All figures of one set."""
-    family = labelled_family(name, count, n_points=n_points, seed=seed)
+def run(name: str, options: argparse.Namespace) -> dict | None:
+    """All figures of one set; None where it is absent."""
+    seed, rounds, proposal_only = options.seed, options.rounds, options.proposal_only
+    family = labelled_family(name, options.count or None, n_points=options.points, seed=seed)
     if family is None:
         return None
     groups = last(group_shapes(family.shapes, rng=np.random.default_rng(seed))).groups
@@ -205,15 +204,7 @@ def main() -> None:
     options = parser.parse_args()
     results = {}
     for name in options.sets:
-        found = run(
-            name,
-            options.count or None,
-            options.points,
-            options.rounds,
-            options.seed,
-            options.proposal_only,
-            options.unpainted,
-        )
+        found = run(name, options)
         if found is None:
             print(f"{name}: its shapes are not here (set SHAPEFORGE_DATA)", file=sys.stderr)
         else:
