@@ -6,7 +6,7 @@ import hashlib
 import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -348,13 +348,19 @@ def merged_part_names(present: PartNames | None, given: PartNames) -> PartNames:
 
 
 def cosegment(task: Task) -> Iterator[Progress]:
-    """Propose parts for every shape without labels: label probabilities per point that the fit starts from."""
+    """Propose parts for every shape without labels: label probabilities per point that the fit starts from.
+
+    The exemplar of a group is then one of its shapes with the most parts, unless exemplars were chosen by hand.
+    """
     from shapeforge.deformation.boxes import propose_parts
 
     project, folder = task.project, task.folder
     yield task.progress("propose", 0, 1, "looking for parts that many shapes share")
     rng = np.random.default_rng(task.options["seed"])
     proposal = propose_parts(project.shapes, project.groups, n_parts=task.options["parts"], rng=rng)
+    chosen = (project.stage_record("group") or {}).get("options", {}).get("exemplars")
+    if chosen and chosen not in ("auto", ["auto"]):
+        proposal = replace(proposal, exemplars=project.groups.exemplars)
     write_record(folder / "proposal.zarr.zip", proposal)
     write_names(folder / "names.zarr.zip", project.names)
     number = len(proposal.part_names)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +37,8 @@ def fit(task: Task) -> Iterator[Progress]:
     if state is None or state.stop_reason is None:
         options, rng = task.options, np.random.default_rng(task.options["seed"])
         states = fit_templates(
-            project.shapes, project.groups, labels, part_names, rounds=options["rounds"], inner=options["inner"],
-            rng=rng, executor=task.workers, seeds=seeds, resume=state,
+            project.shapes, starting_groups(project), labels, part_names, rounds=options["rounds"],
+            inner=options["inner"], rng=rng, executor=task.workers, seeds=seeds, resume=state,
         )  # fmt: skip
         if state is not None:
             yield task.progress("fit", state.round, state.of, f"goes on after round {state.round}", state=state)
@@ -78,6 +79,14 @@ def starting_parts(project: Project) -> tuple[dict[int, np.ndarray], tuple[str, 
             f"shapeforge group {project.path} --exemplars NAME"
         )
     return labels, tuple(names), seeds
+
+
+def starting_groups(project: Project) -> Any:
+    """The groups that the fit starts from: without labels, the exemplars are those that came with the first parts."""
+    proposal = None if project.labelled else read_proposal(project)
+    if proposal is None or project.groups is None:
+        return project.groups
+    return replace(project.groups, exemplars=proposal.exemplars)
 
 
 def write_shapes(task: Task, folder: Path, state: Any, hierarchy: Any) -> Iterator[Progress]:
@@ -211,7 +220,8 @@ def refine(task: Task) -> Iterator[Progress]:
         prior = _prior(machine, positions, hierarchy, state.templates)
         rounds = state.round + ROUNDS_PER_ALTERNATION
         states = fit_templates(
-            project.shapes, project.groups, labels, part_names, rounds=rounds, rng=np.random.default_rng(number),
+            project.shapes, starting_groups(project), labels, part_names, rounds=rounds,
+            rng=np.random.default_rng(number),
             executor=task.workers, seeds=seeds, prior=prior, resume=state,
         )  # fmt: skip
         for state in states:

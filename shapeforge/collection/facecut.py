@@ -152,7 +152,7 @@ def face_graph(mesh: Mesh) -> FaceGraph:
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))) if len(mesh.vertices) else 0.0
     if diagonal == 0 or len(mesh.triangles) == 0:
         return FaceGraph(np.zeros((0, 2), np.int64), np.zeros(0))
-    pairs, border = _edge_neighbours(mesh, diagonal)
+    pairs, border = edge_neighbours(mesh, diagonal)
     links, strength = _component_links(mesh, pairs, diagonal)
     pairs, border = np.concatenate([pairs, links]), np.concatenate([border, strength])
     code, place = np.unique(pairs[:, 0] * mesh.n_faces + pairs[:, 1], return_inverse=True)
@@ -160,7 +160,7 @@ def face_graph(mesh: Mesh) -> FaceGraph:
     return FaceGraph(np.stack([code // mesh.n_faces, code % mesh.n_faces], axis=1), summed)
 
 
-def _edge_neighbours(mesh: Mesh, diagonal: float) -> tuple[np.ndarray, np.ndarray]:
+def edge_neighbours(mesh: Mesh, diagonal: float) -> tuple[np.ndarray, np.ndarray]:
     """Pairs of faces (E, 2) along every edge, and the weighted length of it."""
     cells = np.rint((mesh.vertices - mesh.vertices.min(axis=0)) / (WELD * diagonal)).astype(np.int64)
     _, corner = np.unique(cells, axis=0, return_inverse=True)

@@ -1,9 +1,10 @@
 """Automatic start: parts proposed from all shapes at once, without any labels (§2, "any co-segmentation").
 
-In place of the box templates of Kim 2013, the patches of all shapes are clustered together.  Every shape is laid into
-one frame by affine alignment to its group's exemplar; there, patches that are alike in place, extent, direction and
-thickness are the same part.  Then the shapes vote: a point goes to the part that like points of the *other* shapes
-belong to, which mends patches that were cut badly.  It is a start only: the fit then moves the borders.
+The surfaces fall into pieces (``pieces``), and two kinds of co-segmentation look for the parts they belong to: part
+boxes with an offset on every shape, after Kim 2013 (``box_model``), and k-means on the looks of pieces and patches.
+No figure was found that tells which of them is right on a new family (the fitted model's energy does not), but where
+many fits agree they are mostly right, so they vote.  Then the shapes vote: a point goes to the part that like points of
+the *other* shapes belong to, which mends pieces that were cut badly.  It is a start only: the fit moves the borders.
 """
 
 from __future__ import annotations
@@ -18,20 +19,27 @@ from scipy.spatial.distance import cdist
 from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_limits
 
-from shapeforge.collection.align import Alignment, affine_align, thinned
+from shapeforge.collection.align import Alignment, thinned
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.shape import Shape
 from shapeforge.collection.symmetry import symmetry_plane
+from shapeforge.deformation.box_model import agreed_parts, split_most_distinct
+from shapeforge.deformation.pieces import box_frame, common_frame, find_pieces, piece_features, placed
 
 SURE = 0.7  # share of the probability that goes to the proposed part; the rest is spread evenly (Q(S) at the start)
 FEWEST, MOST = 2, 8  # parts that are tried when no number is given
-TOLERANCE = 0.01  # of the silhouette: among numbers of parts that are about as good, the largest
+PART_COST = 0.006  # of the silhouette, for every part: among numbers that are about as good, rather the smaller
 STARTS = 10  # of the clustering; the best is kept
 SILHOUETTE_ROWS = 3000  # patches on which numbers of parts are compared
+TAUGHT = 60  # shapes that the boxes are learnt from; the pieces of the others follow like pieces of these
+ALIKE = 7  # pieces that a piece of another shape follows
+PRESENT = 0.01  # of its points: a shape with less of a part does not have it
 VOTING_ROUNDS, VOTES = 2, 30
 VOTERS, VOTED = 12_000, 1000  # points of all shapes that vote; points of a shape that are voted on
 REACH = 0.12  # diagonals that count as much as turning the normal by a right angle
-OWN_VOTE, NEIGHBOURS_VOTE, PATCH_VOTE = 0.4, 0.3, 0.3
+# What a point hears: like points' votes on itself, on its neighbours, on its whole piece, and what it was before; on a
+# patch, whose bounds are a guess, and on a component, whose bounds the modeller drew.
+PATCH_HEARS, COMPONENT_HEARS = (0.4, 0.3, 0.3, 0.0), (0.1, 0.1, 0.8, 0.3)
 
 # How much a feature of unit variance counts.  Where a patch ends in height tells more than where its middle is; the six
 # PCA features and the three diameters say much the same, so they share one voice.
@@ -44,120 +52,164 @@ _WEIGHTS = np.array(
     + [0.4]  # average geodesic distance
     + [0.25] * 6  # local PCA
 )
+# The boxes learn what matters; extents are half of what they are.
+_BOX_WEIGHTS = np.array([1.0] * 11 + [3**-0.5] * 3 + [0.4] + [0.25] * 6)
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
     """Proposed parts: label probabilities (P, L) of every shape's points, rows summing to 1, and the parts' names.
 
-    ``energy`` is the mean squared distance of the patches to their parts' centres, relative to that to a single centre:
-    0 to 1, less is tighter.
+    ``energy`` is the mean squared distance of the pieces to their parts' centres, relative to that to a single centre:
+    0 to 1, less is tighter.  ``exemplars`` (G,) stands for each group: one of its shapes with the most parts.
     """
 
     segmentation: tuple[Float[np.ndarray, "_ _"], ...]
     part_names: tuple[str, ...]
     energy: float
+    exemplars: Int[np.ndarray, " G"]
+
+
+@dataclass(frozen=True, eq=False)
+class _Pieces:
+    """Pieces of all shapes: ``of_point[t]`` (P,), ``whole[t]`` as in ``find_pieces``, and per piece its shape, its
+    share of the shape's points and, in every frame, its features."""
+
+    of_point: list[np.ndarray]
+    whole: list[np.ndarray]
+    owner: np.ndarray
+    weight: np.ndarray
+    views: list[np.ndarray]
 
 
 def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rng: np.random.Generator) -> Proposal:
     """Parts that the ``shapes`` (a sequence, lazy or not) share, told from nothing but their surfaces.
 
-    ``n_parts`` is the number of parts; None chooses one from 2 to 8 by the silhouette of the clustering.  Parts are
-    numbered from the largest.  Raises ValueError for no shapes or for ``n_parts`` below 1.
+    ``n_parts`` is the number of parts; None chooses one from 2 to 8 by the silhouette of a clustering of the patches.
+    More parts than that are split off one by one, the most distinct first.  Parts are numbered from the largest.
+    Raises ValueError for no shapes or for ``n_parts`` below 1.
     """
-    number = len(shapes)
-    if number == 0:
+    if len(shapes) == 0:
         raise ValueError("shapes: wanted at least one, got none; was anything imported?")
     if n_parts is not None and n_parts < 1:
         raise ValueError(f"n_parts: wanted at least 1, got {n_parts}")
     frames = common_frame(shapes, groups)
-    root = shapes[int(groups.exemplars[0])]
-    normal, offset, _ = symmetry_plane(root.points)
-    tables, patches = [], []
-    for t in range(number):
-        shape = shapes[t]
-        tables.append(patch_features(shape, frames[t], normal, offset))
-        patches.append(shape.patch.astype(np.int64))
-    owner = np.repeat(np.arange(number), [len(table) for table in tables])
-    # The weight of a patch is its share of the shape's points, 0 for numbers that no point has.
-    weight = np.concatenate([np.bincount(patch) / len(patch) for patch in patches])
+    normal, offset, _ = symmetry_plane(shapes[int(groups.exemplars[0])].points)
+    patches, pieces = _gathered(shapes, groups, frames, normal, offset)
     # One BLAS thread: sums must not depend on how many there are.
     with threadpool_limits(1):
-        features = standardized(np.concatenate(tables), weight) * _WEIGHTS
-        if n_parts is None:
-            n_parts = choose_number(features, weight, rng=rng)
-        part, energy = cluster_patches(features, weight, n_parts, rng=rng)
-    parts = [part[owner == t][patches[t]] for t in range(number)]
-    for _ in range(VOTING_ROUNDS if number > 1 else 0):
-        parts = vote(shapes, frames, normal, offset, parts, n_parts)
+        features = standardized(patches.views[0], patches.weight) * _WEIGHTS
+        natural = choose_number(features, patches.weight, rng=rng)
+        n_parts = natural if n_parts is None else n_parts
+        first = min(natural, n_parts)
+        of_patch = cluster_patches(features, patches.weight, first, rng=rng)[0]
+        part, energy = _parts_of_pieces(pieces, patches, of_patch, first, n_parts, rng)
+    parts = [part[pieces.owner == t][of_point] for t, of_point in enumerate(pieces.of_point)]
+    for _ in range(VOTING_ROUNDS if len(shapes) > 1 else 0):
+        parts = vote(shapes, frames, normal, offset, parts, n_parts, pieces.of_point, pieces.whole)
     segmentation = tuple(SURE * np.eye(n_parts)[of_point] + (1 - SURE) / n_parts for of_point in parts)
-    return Proposal(segmentation, tuple(f"part {i + 1}" for i in range(n_parts)), energy)
+    exemplars = richest_exemplars(groups, parts, n_parts)
+    return Proposal(segmentation, tuple(f"part {i + 1}" for i in range(n_parts)), energy, exemplars)
 
 
-def common_frame(shapes: Any, groups: Groups) -> list[Alignment]:
-    """The map of every shape into the first (largest) group's exemplar: through the exemplar of its own group.
-
-    Shapes of no group go straight there.
-    """
-    root = int(groups.exemplars[0])
-    target = shapes[root].points
-    same = Alignment(np.eye(3), np.zeros(3), 0.0)
-    onwards = [same] + [affine_align(shapes[int(e)].points, target) for e in groups.exemplars[1:]]
-    exemplar_points = [shapes[int(e)].points for e in groups.exemplars]
-    frames = []
+def _gathered(
+    shapes: Any, groups: Groups, frames: list[Alignment], normal: np.ndarray, offset: float
+) -> tuple[_Pieces, _Pieces]:
+    """Patches (in the affine frame only) and pieces of all shapes (in the affine, the box's and the shape's own)."""
+    root = shapes[int(groups.exemplars[0])].points
+    own = Alignment(np.eye(3), np.zeros(3), 0.0)
+    kinds: list[list[np.ndarray]] = [[], []]
+    tables: list[list[np.ndarray]] = [[], [], [], []]
+    whole: list[np.ndarray] = []
     for t in range(len(shapes)):
-        g = int(groups.group[t])
-        if g < 0:
-            frames.append(affine_align(shapes[t].points, target))
-        elif t == groups.exemplars[g]:
-            frames.append(onwards[g])
-        else:
-            frames.append(_then(affine_align(shapes[t].points, exemplar_points[g]), onwards[g]))
-    return frames
+        shape = shapes[t]
+        piece, is_whole = find_pieces(shape)
+        kinds[0].append(shape.patch.astype(np.int64))
+        kinds[1].append(piece)
+        whole.append(is_whole)
+        tables[0].append(piece_features(shape, kinds[0][t], frames[t], normal, offset))
+        for table, frame in zip(tables[1:], (frames[t], box_frame(shape.points, root), own), strict=True):
+            table.append(piece_features(shape, kinds[1][t], frame, normal, offset))
+    gathered = []
+    for of_point, views in zip(kinds, (tables[:1], tables[1:]), strict=True):
+        owner = np.repeat(np.arange(len(shapes)), [len(table) for table in views[0]])
+        # The weight of a piece is its share of the shape's points, 0 for numbers that no point has.
+        weight = np.concatenate([np.bincount(piece) / len(piece) for piece in of_point])
+        gathered.append(_Pieces(of_point, whole, owner, weight, [np.concatenate(table) for table in views]))
+    return gathered[0], gathered[1]
 
 
-def _then(first: Alignment, second: Alignment) -> Alignment:
-    return Alignment(
-        second.matrix @ first.matrix, second(first.offset[None])[0], first.residual + second.residual, first.start
-    )
+def _parts_of_pieces(
+    pieces: _Pieces, patches: _Pieces, of_patch: np.ndarray, first: int, n_parts: int, rng: np.random.Generator
+) -> tuple[np.ndarray, float]:
+    """Part (n,) of every piece, numbered by falling weight, and the relative energy (see ``Proposal``)."""
+    owner, weight = pieces.owner, pieces.weight
+    views = [standardized(view, weight) * _BOX_WEIGHTS for view in pieces.views]
+    every = np.concatenate(views, axis=1) / np.sqrt(len(views))
+    n_shapes = int(owner.max()) + 1
+    taught = np.isin(owner, np.unique(np.linspace(0, n_shapes - 1, min(n_shapes, TAUGHT)).round().astype(np.int64)))
+    first = min(first, len(np.unique(every[taught], axis=0)))
+    others = [
+        cluster_patches(standardized(pieces.views[0], weight) * _WEIGHTS, weight, first, rng=rng)[0],
+        _from_patches(pieces, patches, of_patch, first),
+    ]
+    shape_of = np.unique(owner[taught], return_inverse=True)[1].reshape(-1)
+    part = agreed_parts(
+        [view[taught] for view in (*views, every)], shape_of, weight[taught], first, rng=rng,
+        others=[np.minimum(other[taught], first - 1) for other in others],
+    )  # fmt: skip
+    for _ in range(n_parts - first):
+        part = split_most_distinct(every[taught], shape_of, weight[taught], part, rng=rng)
+    if not taught.all():
+        near = cKDTree(every[taught]).query(every[~taught], k=min(ALIKE, len(part)))[1].reshape((~taught).sum(), -1)
+        votes = np.stack([(part[near] == one).sum(axis=1) for one in range(n_parts)], axis=1)
+        told = np.empty(len(owner), np.int64)
+        told[taught], told[~taught] = part, votes.argmax(axis=1)
+        part = told
+    mass = np.bincount(part, weight, n_parts)
+    rank = np.empty(n_parts, np.int64)
+    rank[np.argsort(-mass, kind="stable")] = np.arange(n_parts)
+    part = rank[part]
+    centres = np.stack([np.bincount(part, weight * column, n_parts) for column in every.T], axis=1)
+    centres /= np.maximum(np.bincount(part, weight, n_parts), 1e-12)[:, None]
+    whole = float(weight @ ((every - np.average(every, axis=0, weights=weight)) ** 2).sum(axis=1))
+    return part, float(weight @ ((every - centres[part]) ** 2).sum(axis=1)) / max(whole, 1e-12)
 
 
-def patch_features(
-    shape: Shape, frame: Alignment, normal: Float[np.ndarray, " 3"], offset: float
-) -> Float[np.ndarray, "n F"]:
-    """What tells patches apart (n_patches, 21), in the common frame whose mirror plane is ``normal · x = offset``.
-
-    Distance from the plane, height and depth of the middle; lowest and highest height; extents; mean squared normal;
-    mean descriptors.  Folding at the mirror plane makes left and right one part.
-    """
-    places, normals = _placed(shape, frame, normal, offset)
-    patch = shape.patch
-    count = np.maximum(np.bincount(patch), 1)[:, None]
-    folded = np.concatenate([np.abs(places[:, :1]), places[:, 1:], normals**2, shape.descriptors], axis=1)
-    means = np.stack([np.bincount(patch, column) for column in folded.T], axis=1) / count
-    low, high = np.zeros((len(count), 3)), np.zeros((len(count), 3))
-    for p, members in enumerate(_members(patch)):
-        if len(members):  # not the very ends: one stray point would move them
-            low[p], high[p] = np.quantile(places[members], [0.05, 0.95], axis=0)
-    return np.concatenate([means[:, :3], low[:, 1:2], high[:, 1:2], high - low, means[:, 3:]], axis=1)
+def _from_patches(pieces: _Pieces, patches: _Pieces, of_patch: np.ndarray, n_parts: int) -> np.ndarray:
+    """The part of every piece that most of its points have by their patches."""
+    found = []
+    for t, of_point in enumerate(pieces.of_point):
+        part = of_patch[patches.owner == t][patches.of_point[t]]
+        table = np.zeros((int(of_point.max()) + 1, n_parts))
+        np.add.at(table, (of_point, part), 1.0)
+        found.append(table.argmax(axis=1))
+    return np.concatenate(found)
 
 
-def _placed(shape: Shape, frame: Alignment, normal: np.ndarray, offset: float) -> tuple[np.ndarray, np.ndarray]:
-    """Points (P, 3) and unit normals (P, 3) in the common frame: distance from the mirror plane, height, depth."""
-    normals = shape.normals @ np.linalg.inv(frame.matrix)
-    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    sideways = np.cross(normal, [0.0, 1.0, 0.0])
-    axes = np.stack([normal, [0.0, 1.0, 0.0], sideways / np.linalg.norm(sideways)])
-    return frame(shape.points) @ axes.T - [offset, 0, 0], normals @ axes.T
+def richest_exemplars(groups: Groups, parts: list[np.ndarray], n_parts: int) -> Int[np.ndarray, " G"]:
+    """An exemplar (G,) for every group among its shapes with the most parts (§2): its own if that is one of them, else
+    the one nearest to the whole group."""
+    has = np.stack([np.bincount(part, minlength=n_parts) >= PRESENT * len(part) for part in parts])
+    distance = groups.dissimilarity if groups.dissimilarity is not None else cdist(groups.embedding, groups.embedding)
+    exemplars = groups.exemplars.copy()
+    for g in range(len(groups)):
+        members = groups.members(g)
+        count = has[members].sum(axis=1)
+        richest = members[count == count.max()]
+        if exemplars[g] not in richest:
+            exemplars[g] = richest[distance[np.ix_(richest, members)].mean(axis=1).argmin()]
+    return exemplars
 
 
 def vote(
-    shapes: Any, frames: list[Alignment], normal: np.ndarray, offset: float, parts: list[np.ndarray], n_parts: int
-) -> list[np.ndarray]:
+    shapes: Any, frames: list[Alignment], normal: np.ndarray, offset: float, parts: list[np.ndarray], n_parts: int,
+    pieces: list[np.ndarray], whole: list[np.ndarray],
+) -> list[np.ndarray]:  # fmt: skip
     """New part of every point of every shape, from the parts (P,) of like points of the other shapes.
 
     Alike in place (folded at the mirror plane), direction and thickness.  A point's vote is averaged with those of its
-    neighbours and of its patch, so borders stay short.
+    neighbours and of its piece, so borders stay short.
     """
     number = len(shapes)
     share = max(2, VOTERS // number)
@@ -181,16 +233,19 @@ def vote(
         present = shape.neighbours >= 0
         around = (own[shape.neighbours] * present[:, :, None]).sum(axis=1)
         around = around / np.maximum(present.sum(axis=1, keepdims=True), 1)
-        patch = shape.patch
-        sums = np.stack([np.bincount(patch, column) for column in own.T], axis=1)
-        of_patch = (sums / np.maximum(np.bincount(patch), 1)[:, None])[patch]
-        voted.append((OWN_VOTE * own + NEIGHBOURS_VOTE * around + PATCH_VOTE * of_patch).argmax(axis=1))
+        piece = pieces[t]
+        sums = np.stack([np.bincount(piece, column) for column in own.T], axis=1)
+        of_piece = (sums / np.maximum(np.bincount(piece), 1)[:, None])[piece]
+        before = parts[t][:, None] == np.arange(n_parts)
+        hears = np.where(whole[t][piece][:, None], COMPONENT_HEARS, PATCH_HEARS)
+        heard = zip(hears.T[:, :, None], (own, around, of_piece, before), strict=True)
+        voted.append(sum(loud * votes for loud, votes in heard).argmax(axis=1))
     return voted
 
 
 def _likeness(shape: Shape, frame: Alignment, normal: np.ndarray, offset: float) -> np.ndarray:
     """Rows (P, 8), near for like points: place folded at the mirror plane, squared normal, thickness, geodesics."""
-    places, normals = _placed(shape, frame, normal, offset)
+    places, normals = placed(shape, frame, normal, offset)
     places = np.concatenate([np.abs(places[:, :1]), places[:, 1:]], axis=1)
     described = shape.descriptors[:, [0, 3]] * [2, 1]
     return np.concatenate([places / REACH, normals**2, described], axis=1)
@@ -226,7 +281,7 @@ def cluster_patches(
 def choose_number(
     features: Float[np.ndarray, "n F"], weight: Float[np.ndarray, " n"], *, rng: np.random.Generator
 ) -> int:
-    """The number of parts from 2 to 8 with the best weighted silhouette, the largest among about equals."""
+    """The number of parts from 2 to 8 with the best weighted silhouette less a small cost of every part."""
     used = np.flatnonzero(weight > 0)
     if len(used) > SILHOUETTE_ROWS:
         used = np.sort(rng.choice(used, SILHOUETTE_ROWS, replace=False))
@@ -236,7 +291,7 @@ def choose_number(
         return 1
     distance = cdist(features, features)
     scores = [silhouette(distance, cluster_patches(features, weight, k, rng=rng)[0], weight) for k in tried]
-    return max(k for k, score in zip(tried, scores, strict=True) if score >= max(scores) - TOLERANCE)
+    return tried[int(np.argmax(np.array(scores) - PART_COST * np.array(tried)))]
 
 
 def silhouette(

@@ -16,7 +16,15 @@ from shapeforge.collection.align import affine_align
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.prepare import prepare_shape
 from shapeforge.collection.shape import Frame, Mesh, Shape
-from shapeforge.deformation.boxes import SURE, choose_number, cluster_patches, common_frame, propose_parts, silhouette
+from shapeforge.deformation.boxes import (
+    SURE,
+    choose_number,
+    cluster_patches,
+    propose_parts,
+    richest_exemplars,
+    silhouette,
+)
+from shapeforge.deformation.pieces import common_frame
 
 
 def chair(seed: int) -> tuple[Shape, np.ndarray]:
@@ -168,3 +176,20 @@ def test_real_side_chairs_are_cut_about_as_people_would(real_shapes):
         truths.append(np.where(faces < 3, faces, -1)[shape.face_of_point])
     proposal = propose_parts(shapes, one_group(8), n_parts=3, rng=np.random.default_rng(0))
     assert matched(proposal.segmentation, truths) > 0.8
+
+
+def test_exemplars_are_among_the_shapes_with_the_most_parts():
+    """The group's own if it is one of them, else the one nearest to the group."""
+    distance = np.abs(np.subtract.outer(np.arange(6.0), np.arange(6.0)))
+    groups = Groups(("A", "B"), np.array([0, 0, 0, 0, 1, 1]), np.array([0, 4]), np.zeros((6, 2)), distance)
+    two, three = np.repeat([0, 1], 50), np.repeat([0, 1, 2], 50)
+    hardly = np.where(np.arange(1000) < 5, 2, np.arange(1000) % 2)  # a few stray points are no part
+    chosen = richest_exemplars(groups, [two, three, three, hardly, three, two], 3)
+    assert chosen.tolist() == [1, 4]
+
+
+def test_many_shapes_follow_those_that_were_taught(chairs, monkeypatch):
+    shapes, truths = chairs
+    monkeypatch.setattr("shapeforge.deformation.boxes.TAUGHT", 4)
+    proposal = propose_parts(shapes, one_group(6), n_parts=3, rng=np.random.default_rng(0))
+    assert matched(proposal.segmentation, truths) > 0.99

@@ -1,0 +1,72 @@
+"""Pieces: convex components stay whole, tall posts and lumps fall apart into patches, crumbs follow their patch."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+
+from shapeforge.collection.prepare import prepare_shape
+from shapeforge.collection.shape import Mesh, Shape
+from shapeforge.deformation.pieces import box_frame, convexity, face_components, find_pieces
+
+
+def mesh_of(*boxes: trimesh.Trimesh) -> Mesh:
+    """The boxes side by side in one mesh, each its own component."""
+    vertices, triangles, start = [], [], 0
+    for box in boxes:
+        vertices.append(np.asarray(box.vertices))
+        triangles.append(np.asarray(box.faces) + start)
+        start += len(box.vertices)
+    faces = np.concatenate(triangles).astype(np.int64)
+    return Mesh(np.concatenate(vertices).astype(np.float64), faces, np.arange(len(faces)), len(faces))
+
+
+def box(size: tuple[float, float, float], centre: tuple[float, float, float]) -> trimesh.Trimesh:
+    return trimesh.creation.box(size, trimesh.transformations.translation_matrix(centre))
+
+
+def shape_of(*boxes: trimesh.Trimesh) -> Shape:
+    return prepare_shape("thing", mesh_of(*boxes), n_points=1500, up="y", rng=np.random.default_rng(0))
+
+
+def test_components_of_faces_follow_the_edges():
+    found = face_components(mesh_of(box((1, 1, 1), (0, 0, 0)), box((1, 1, 1), (3, 0, 0))))
+    assert len(set(found[:12].tolist())) == 1 and len(set(found[12:].tolist())) == 1 and found[0] != found[12]
+
+
+def test_a_board_is_one_piece_and_a_floor_to_top_post_is_not():
+    seat, post = box((1, 0.1, 1), (0, 0.5, 0)), box((0.2, 1.4, 0.2), (0, 0.6, -0.4))
+    shape = shape_of(seat, post)
+    piece, whole = find_pieces(shape)
+    on_seat = shape.face_of_point < 12
+    assert len(np.unique(piece[on_seat])) == 1 and whole[piece[on_seat][0]]
+    assert not whole[np.unique(piece[~on_seat])].any()
+    assert len(whole) == piece.max() + 1 and (np.bincount(piece) > 0).all()
+
+
+def test_a_lump_falls_into_its_patches():
+    """Seat and back that share an edge are one component, but no convex thing."""
+    shape = shape_of(box((1, 0.1, 1), (0, 0, 0)), box((1, 0.6, 0.1), (0, 0.35, -0.45)), box((1, 0.1, 1), (0, -2, 0)))
+    assert len(set(face_components(shape.mesh).tolist())) == 2
+    piece, whole = find_pieces(shape)
+    lump = shape.face_of_point < 24
+    assert len(np.unique(piece[lump])) >= 2 and not whole[piece[lump]].any()
+    assert whole[piece[~lump]].all()
+
+
+def test_convexity_tells_a_ball_from_a_corner():
+    ball = trimesh.creation.icosphere(2)
+    points, face = trimesh.sample.sample_surface(ball, 300, seed=0)
+    assert convexity(np.asarray(points), np.asarray(ball.face_normals[face])) == 1.0
+    # two walls that face each other's front: half of the pairs see each other across the corner
+    rng = np.random.default_rng(0)
+    floor, wall = rng.random((100, 3)) * [1, 0, 1], rng.random((100, 3)) * [0, 1, 1]
+    normals = np.repeat([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]], 100, axis=0)
+    assert convexity(np.concatenate([floor, wall]), normals) < 0.6
+
+
+def test_box_frame_maps_box_onto_box():
+    rng = np.random.default_rng(1)
+    points, target = rng.random((50, 3)) * [1, 2, 1], rng.random((60, 3)) * [2, 2, 1] + 5
+    moved = box_frame(points, target)(points)
+    assert np.allclose(moved.min(axis=0), target.min(axis=0)) and np.allclose(moved.max(axis=0), target.max(axis=0))
