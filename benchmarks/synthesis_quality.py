@@ -1,10 +1,14 @@
 """How good are the meshes made from draws?  Generated families with true correspondences: only synthesis is judged.
 
     python -m benchmarks.synthesis_quality [--family chairs] [--count 40] [--draws 20] [--seed 0] [--json]
+    python -m benchmarks.synthesis_quality --project demo/project [--draws 24]
 
-Two kinds of draws: ``between`` lies half-way between two training shapes with the same parts, ``held out`` is a shape
-that the sources don't contain; both with Gaussian noise on every point, as a generative model would leave it.  Lengths
-are in bounding-box diagonals.  The last line is one JSON object.
+With ``--project`` meshes are made from draws of a learnt project, whose segmentations are those of its fit: once from
+parts cut along the labels as they are, once from parts cut cleanly, beside the same figures of the training shapes.
+
+Otherwise two kinds of draws: ``between`` lies half-way between two training shapes with the same parts, ``held out`` is
+a shape that the sources don't contain; both with Gaussian noise on every point, as a generative model would leave it.
+Lengths are in bounding-box diagonals.  The last line is one JSON object.
 """
 
 from __future__ import annotations
@@ -12,7 +16,8 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from dataclasses import dataclass
+from collections import OrderedDict
+from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_info
@@ -22,10 +27,14 @@ from shapeforge.collection.points import sample_points
 from shapeforge.collection.prepare import normal_frame
 from shapeforge.collection.shape import Mesh, Shape
 from shapeforge.collection.surface import closest_points
+from shapeforge.generative.draw import draw
+from shapeforge.stages_synthesis import sources_of
+from shapeforge.store import Project
 from shapeforge.synthesis.assemble import SynthesizedShape, synthesize
-from shapeforge.synthesis.measures import symmetry_error
+from shapeforge.synthesis.cleaning import clean_labels, components, neighbours
+from shapeforge.synthesis.measures import raggedness, symmetry_error
 from shapeforge.synthesis.sources import FEWEST_POINTS, Sources, make_sources
-from shapeforge.synthesis.surfaces import as_mesh
+from shapeforge.synthesis.surfaces import as_mesh, weld
 from shapeforge.validation.plausibility import chamfer, plausibility
 from shapeforge.validation.statistics import format_table
 
@@ -186,20 +195,76 @@ def run(family_name: str, count: int, n_draws: int, seed: int) -> dict:
     }
 
 
+def from_project(path: str, n_draws: int, seed: int) -> dict:
+    """Figures of a project's draws with parts as labelled and cut cleanly, and of its training shapes."""
+    project = Project.open(path)
+    machine, mixture = project.machine(), project.mixture()
+    if machine is None or mixture is None:
+        raise SystemExit(f"{path}: wanted a project with a learnt machine. Run `shapeforge learn` first.")
+    draws = draw(machine, mixture, n_draws, rng=np.random.default_rng(seed))
+    clean = sources_of(project)
+    as_labelled = replace(clean, painted=frozenset(clean.names), smooth=False, _cache=OrderedDict())
+    result = {}
+    for name, sources in (("as labelled", as_labelled), ("cut cleanly", clean)):
+        made = [synthesize(np.asarray(p, float), e, sources) for p, e in zip(draws.points, draws.exists, strict=True)]
+        used = [
+            sources.part_of(sources.names.index(source), l)
+            for shape in made for l, source in enumerate(shape.sources) if source
+        ]  # fmt: skip
+        result[name] = {
+            "n": len(made),
+            "gap_mean": float(np.mean([shape.measures["largest_gap"] for shape in made])),
+            "gap_over_.005": float(np.mean([shape.measures["largest_gap"] > 0.005 for shape in made])),
+            "symmetry_error": float(np.mean([shape.measures["symmetry_error"] for shape in made])),
+            "folds": float(np.mean([shape.measures["folded_triangles"] for shape in made])),
+            "islands": float(np.mean([n_islands(s.vertices, s.triangles, s.part, sources.n_parts) for s in made])),
+            "raggedness": float(np.mean([part.quality.raggedness for part in used])),
+            "distance_from_draw": float(np.mean([shape.measures["distance_from_draw"] for shape in made])),
+        }
+    shapes = [project.shapes.named(name) for name in clean.names]
+    labels = [np.asarray(l)[s.mesh.face_of_triangle] for s, l in zip(shapes, clean.face_labels, strict=True)]
+    points = [p[np.isfinite(p).all(axis=1)] for p in np.asarray(clean.positions, float)]
+    islands = [n_islands(s.mesh.vertices, s.mesh.triangles, l, clean.n_parts)
+               for s, l in zip(shapes, labels, strict=True)]  # fmt: skip
+    ragged = [raggedness(s.mesh, l, int(part)) for s, l in zip(shapes, labels, strict=True) for part in np.unique(l)]
+    result["training"] = {
+        "n": len(shapes),
+        "symmetry_error": float(np.mean([symmetry_error(p) for p in points])),
+        "islands": float(np.mean(islands)),
+        "raggedness": float(np.mean(ragged)),
+    }
+    return result
+
+
+def n_islands(vertices: np.ndarray, triangles: np.ndarray, label: np.ndarray, n_parts: int) -> int:
+    """Specks and lone pieces: connected regions whose label :func:`clean_labels` would change."""
+    vertices, triangles = weld(vertices, triangles)
+    changed = clean_labels(vertices, triangles, label, n_parts) != label
+    first, second, _ = neighbours(vertices, triangles)
+    same = label[first] == label[second]
+    return len(np.unique(components(len(label), first[same], second[same])[changed]))
+
+
 def main() -> None:
     """Print a table and one JSON line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--family", choices=("chairs", "airplanes", "both"), default="both")
+    parser.add_argument("--project", help="a project with a learnt machine, instead of generated families")
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--draws", type=int, default=12)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true", help="the JSON line only")
     options = parser.parse_args()
     families = ("chairs", "airplanes") if options.family == "both" else (options.family,)
-    figures = {name: run(name, options.count, options.draws, options.seed) for name in families}
+    if options.project:
+        figures = {options.project: from_project(options.project, options.draws, options.seed)}
+        families = ()
+    else:
+        figures = {}
+    figures |= {name: run(name, options.count, options.draws, options.seed) for name in families}
     if not options.json:
         for name, found in figures.items():
-            columns = list(found["between"])
+            columns = list(next(iter(found.values())))
             rows = [
                 [figure, *(("–" if found[kind].get(figure) is None else found[kind][figure]) for kind in found)]
                 for figure in columns

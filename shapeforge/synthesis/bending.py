@@ -20,7 +20,7 @@ ANCHOR_STRENGTH = 20.0
 """Weight of an anchor, in constraints per node: a contact outweighs the drawn points around it."""
 OWN_MAP = 24
 """A piece with at least so many handles is pre-aligned by itself: four legs spread without growing fat."""
-STIFFER = (1.0, 4.0, 16.0)
+STIFFER = (1.0, 8.0, 64.0)
 """Factors of the regular term to try in turn while the bent part has folds."""
 
 

@@ -6,13 +6,15 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from shapeforge.collection.meshes import triangulate_records
-from shapeforge.synthesis.cleaning import components, neighbours
+from shapeforge.synthesis.cleaning import areas, components, neighbours
 from shapeforge.synthesis.surfaces import Triangles, Vertices, sides_of
 
 OPEN = 0.02
 """A component counts as closed with at most this share of its edges open."""
-FLAT = 0.3
+FLAT = 0.12
 """A lid's corners lie within this share of its width of a plane: the saw cut straight, more or less."""
+LARGEST = 0.03
+"""Largest area of a lid (squared diagonals): what would need more was hardly solid."""
 
 
 def closed_components(triangles: Triangles) -> tuple[Bool[np.ndarray, " E"], Bool[np.ndarray, " N"]]:
@@ -39,12 +41,13 @@ def cap(vertices: Vertices, triangles: Triangles, chosen: Bool[np.ndarray, " N"]
     starts, ends = triangles.ravel()[cut], np.roll(triangles, -1, axis=1).ravel()[cut]
     hollow = np.repeat(closed, 3)[cut]
     length = np.linalg.norm(vertices[starts] - vertices[ends], axis=1)[hollow]
-    lids = [loop for loop in _loops(ends[hollow], starts[hollow]) if _is_flat(vertices[loop])]
-    if not lids:
-        return np.zeros((0, 3), np.int32), float(length.sum())
-    made, _ = triangulate_records(vertices, np.concatenate(lids), np.array([len(lid) for lid in lids]))
-    around = sum(float(np.linalg.norm(vertices[lid] - vertices[np.roll(lid, 1)], axis=1).sum()) for lid in lids)
-    return made, max(float(length.sum()) - around, 0.0)
+    made, around = [np.zeros((0, 3), np.int32)], 0.0
+    for loop in _loops(ends[hollow], starts[hollow]):
+        lid = _lid(vertices, loop)
+        if len(lid):
+            made.append(lid)
+            around += float(np.linalg.norm(vertices[loop] - vertices[np.roll(loop, 1)], axis=1).sum())
+    return np.concatenate(made), max(float(length.sum()) - around, 0.0)
 
 
 def _loops(starts: Int[np.ndarray, " E"], ends: Int[np.ndarray, " E"]) -> list[np.ndarray]:
@@ -71,7 +74,12 @@ def _loops(starts: Int[np.ndarray, " E"], ends: Int[np.ndarray, " E"]) -> list[n
     return found
 
 
-def _is_flat(points: np.ndarray) -> bool:
-    """The points lie near a plane, and are not all on a line."""
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / np.sqrt(len(points))
-    return bool(spread[1] > 1e-6 and spread[2] <= FLAT * spread[1])
+def _lid(vertices: Vertices, loop: Int[np.ndarray, " n"]) -> np.ndarray:
+    """Triangles (n-2, 3) within the loop; none if it is not flat, too wide, or crosses itself."""
+    points = vertices[loop] - vertices[loop].mean(axis=0)
+    spread = np.linalg.svd(points, compute_uv=False)
+    area = float(np.linalg.norm(np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0))) / 2
+    if spread[1] <= 1e-6 * np.sqrt(len(loop)) or spread[2] > FLAT * spread[1] or not 0 < area <= LARGEST:
+        return np.zeros((0, 3), np.int32)
+    lid = triangulate_records(vertices, loop, np.array([len(loop)]))[0]
+    return lid if areas(vertices, lid).sum() <= 1.1 * area else lid[:0]

@@ -37,12 +37,12 @@ class CutMesh:
 
 def cut_mesh(
     mesh: Mesh, label: Int[np.ndarray, " M"], positions: Float[np.ndarray, "K 3"], part: Int[np.ndarray, " K"],
-    n_parts: int, *, painted: bool = False,
+    n_parts: int, *, painted: bool = False, smooth: bool = True,
 ) -> CutMesh:  # fmt: skip
     """The mesh with a label per triangle, welded, refined, and cut along clean borders.
 
     ``positions`` (NaN where absent) are the corresponding points and ``part`` theirs; labels that were ``painted`` by
-    hand are taken at their word.
+    hand are taken at their word; without ``smooth`` borders follow the edges of the faces.
     """
     vertices, triangles = weld(np.asarray(mesh.vertices, float), mesh.triangles)
     keep = good_triangles(vertices, triangles)
@@ -62,7 +62,9 @@ def cut_mesh(
     for l in range(n_parts):
         either = (raw == l) | (clean == l)
         mended[l] = area[either & (raw != clean)].sum() / max(float(area[either].sum()), 1e-300)
-    return CutMesh(*smooth_borders(vertices, triangles, clean), mended)
+    if smooth:
+        vertices, triangles, clean = smooth_borders(vertices, triangles, clean)
+    return CutMesh(vertices, triangles, clean, mended)
 
 
 def cut_part(cut: CutMesh, part: int, handles: Float[np.ndarray, "C 3"]) -> tuple[np.ndarray, np.ndarray, PartQuality]:

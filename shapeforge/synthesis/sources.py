@@ -88,7 +88,8 @@ class Sources:
     """Training shapes as a store of parts.
 
     ``positions`` (T, K, 3) are corresponding points in normal coordinates, NaN where absent; ``exists`` (T, L) tells
-    which parts a shape has; ``touching`` (L, L) is the share of the shapes having both parts on which the two touch.
+    which parts a shape has; ``touching`` (L, L) is the share of the shapes having both parts on which the two touch;
+    labels of the ``painted`` shapes are taken at their word; without ``smooth`` borders follow the edges of the faces.
     """
 
     names: tuple[str, ...]
@@ -100,6 +101,7 @@ class Sources:
     get_shape: Callable[[int], Shape]
     face_labels: Sequence[np.ndarray]
     painted: frozenset[str] = frozenset()
+    smooth: bool = True
     keep: int = 64
     _cache: OrderedDict = field(default_factory=OrderedDict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
@@ -117,7 +119,7 @@ class Sources:
                 return self._cache[index]
         parts = read_parts(
             self.get_shape(index), np.asarray(self.face_labels[index]), self.positions[index], self.part, self.n_parts,
-            painted=self.names[index] in self.painted,
+            painted=self.names[index] in self.painted, smooth=self.smooth,
         )  # fmt: skip
         with self._lock:
             self._cache[index] = parts
@@ -194,6 +196,7 @@ def read_parts(
     n_parts: int,
     *,
     painted: bool = False,
+    smooth: bool = True,
 ) -> dict[int, SourcePart]:
     """Every part of a shape: cut from the mesh by label, cleanly, with handles, quality and anchors."""
     mesh = shape.mesh
@@ -202,7 +205,9 @@ def read_parts(
             f"faces: wanted one label per face record of {shape.name} ({mesh.n_faces}), got {len(faces)}. "
             "Do the labels belong to another version of the mesh?"
         )
-    cut = cut_mesh(mesh, faces[mesh.face_of_triangle], np.asarray(positions, float), part, n_parts, painted=painted)
+    cut = cut_mesh(
+        mesh, faces[mesh.face_of_triangle], np.asarray(positions, float), part, n_parts, painted=painted, smooth=smooth
+    )
     found: dict[int, SourcePart] = {}
     for l in range(n_parts):
         template = np.flatnonzero((part == l) & np.isfinite(positions).all(axis=1))

@@ -29,10 +29,10 @@ def sheet(n: int = 30, size: float = 0.7) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tube(n_around: int = 24, n_along: int = 20) -> tuple[np.ndarray, np.ndarray]:
-    """A closed cylinder of radius .1 from x = -.4 to .4."""
+    """A closed cylinder of radius .08 from x = -.4 to .4."""
     angle = np.linspace(0, 2 * np.pi, n_around, endpoint=False)
     x = np.linspace(-0.4, 0.4, n_along + 1)
-    ring = np.stack([np.zeros(n_around), 0.1 * np.cos(angle), 0.1 * np.sin(angle)], 1)
+    ring = np.stack([np.zeros(n_around), 0.08 * np.cos(angle), 0.08 * np.sin(angle)], 1)
     vertices = (ring[None] + np.stack([x, 0 * x, 0 * x], 1)[:, None]).reshape(-1, 3)
     at = np.arange(len(vertices)).reshape(n_along + 1, n_around)
     after = np.roll(at, -1, axis=1)
