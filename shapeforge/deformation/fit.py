@@ -61,7 +61,7 @@ LOCAL_GAP, LOCAL_TURN = 0.02, 0.15
 """The same around one point of the surface: an exemplar with arms may speak for the arms of a shape that another
 exemplar explains better in all else."""
 
-LENT = 0.5
+LENT = 0.3
 """A part that the best exemplar lacks is another's, if at least this share of what that one says of it is believed."""
 
 COMPACT = ("deformed", "variance", "segmentation")
