@@ -184,14 +184,16 @@ def apply_one(name: str, path: Path, options: dict[str, Any], state: Any, hierar
     from shapeforge.collection.meshes import read_mesh
     from shapeforge.collection.prepare import prepare_shape
     from shapeforge.deformation.apply import fit_one
-    from shapeforge.deformation.faces import label_faces
+    from shapeforge.deformation.faces import Explanations, label_faces
+    from shapeforge.deformation.fit import Candidate
     from shapeforge.deformation.hierarchy import corresponding_points
 
     sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
     rng = np.random.default_rng([int(options["seed"]), int(sha256[:15], 16)])
     shape = prepare_shape(name, read_mesh(path), n_points=int(options["points"]), up=options["up"], rng=rng)
     beliefs = fit_one(shape, state.templates, state.covariances, annealed_from=state.annealed_from)
-    labels, _ = label_faces(shape, beliefs)
+    explained = Explanations((Candidate(beliefs, 1.0, 0.0),), state.templates, state.covariances.unary)
+    labels, _ = label_faces(shape, beliefs, explained=explained)
     positions, existence = corresponding_points(shape, beliefs, hierarchy)
     return shape, labels, positions, existence, beliefs.template
 

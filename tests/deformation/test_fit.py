@@ -13,7 +13,7 @@ from shapeforge.collection.families import generate
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.prepare import prepare_shape
 from shapeforge.deformation.apply import fit_one
-from shapeforge.deformation.faces import label_faces
+from shapeforge.deformation.faces import explanations, face_probabilities, label_faces, template_probabilities
 from shapeforge.deformation.fit import FitDiverged, fit_templates
 from shapeforge.deformation.hierarchy import corresponding_points, link_templates
 
@@ -140,6 +140,24 @@ def test_faces_follow_the_points_and_painted_faces_stay(family, states):
     painted[:7] = 1
     kept, _ = label_faces(shapes[t], states[-1].beliefs[t], painted)
     assert (kept[:7] == 1).all()
+
+
+def test_templates_speak_for_faces_and_alone_where_there_is_no_sample(family, states):
+    """Faces that carry no sample take the templates' word, and get at least as many faces and as much area right."""
+    shapes, _, truth, _ = family
+    right = np.zeros((2, 2))
+    for t, shape in enumerate(shapes):
+        explained = explanations(states[-1], t)
+        spoken = template_probabilities(shape, explained)
+        np.testing.assert_allclose(spoken.sum(axis=1), 1.0)
+        told = face_probabilities(shape, states[-1].beliefs[t], explained)
+        bare = np.bincount(shape.face_of_point, minlength=shape.mesh.n_faces) == 0
+        np.testing.assert_allclose(told[bare], spoken[bare])
+        area = shape.mesh.face_areas / shape.mesh.face_areas.sum()
+        for way, given in enumerate((None, explained)):
+            correct = label_faces(shape, states[-1].beliefs[t], explained=given)[0] == truth[t]
+            right[way] += correct.mean(), area[correct].sum()
+    assert (right[1] >= right[0] - 1e-3 * len(shapes)).all()
 
 
 def test_every_shape_corresponds_through_the_family_templates(family, states):
