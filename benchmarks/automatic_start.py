@@ -33,7 +33,7 @@ from shapeforge.collection.meshes import read_mesh
 from shapeforge.collection.prepare import prepare_shape
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation.boxes import propose_parts
-from shapeforge.deformation.faces import label_faces
+from shapeforge.deformation.faces import explanations, label_faces
 from shapeforge.deformation.fit import fit_templates
 from shapeforge.validation.segmentation import SegmentationScore, mean_score, score_segmentation
 from shapeforge.validation.statistics import format_table
@@ -141,7 +141,9 @@ def fitted(family: LabelledFamily, groups: Groups, rounds: int, labels: dict, na
         )
     )
     beliefs = state.beliefs
-    faces = [label_faces(shape, one)[0] for shape, one in zip(family.shapes, beliefs, strict=True)]
+    faces = [
+        label_faces(shape, beliefs[t], explained=explanations(state, t))[0] for t, shape in enumerate(family.shapes)
+    ]
     by_points = score_points(family, [one.segmentation for one in beliefs], kept)
     return score_faces(family, faces, len(names), kept) | {
         "points": by_points["area"], "points_iou": by_points["part_iou"], "energy": float(state.energy)

@@ -91,7 +91,7 @@ def starting_groups(project: Project) -> Any:
 
 def write_shapes(task: Task, folder: Path, state: Any, hierarchy: Any) -> Iterator[Progress]:
     """Faces and corresponding points of every shape, one file each; those of an interrupted run are kept."""
-    from shapeforge.deformation.faces import label_faces
+    from shapeforge.deformation.faces import explanations, label_faces
     from shapeforge.deformation.fit import blend
     from shapeforge.deformation.hierarchy import corresponding_points
 
@@ -102,7 +102,7 @@ def write_shapes(task: Task, folder: Path, state: Any, hierarchy: Any) -> Iterat
         if path.is_file():
             return
         shape, beliefs = project.shapes[t], blend(state.candidates[t])
-        labels, probabilities = label_faces(shape, beliefs, project.labels(names[t]))
+        labels, probabilities = label_faces(shape, beliefs, project.labels(names[t]), explained=explanations(state, t))
         positions, existence = corresponding_points(shape, beliefs, hierarchy)
         found = {"beliefs": beliefs, "labels": np.asarray(labels, np.int32), "positions": positions}
         write_record(path, {**found, "probabilities": np.asarray(probabilities, np.float32), "existence": existence})

@@ -183,15 +183,17 @@ def apply_one(name: str, path: Path, options: dict[str, Any], state: Any, hierar
     """One new shape: (shape, face labels, positions (K, 3), existence (K,), index of the templates that explain it)."""
     from shapeforge.collection.meshes import read_mesh
     from shapeforge.collection.prepare import prepare_shape
-    from shapeforge.deformation.apply import fit_one
-    from shapeforge.deformation.faces import label_faces
+    from shapeforge.deformation.apply import fit_candidates
+    from shapeforge.deformation.faces import Explanations, label_faces
+    from shapeforge.deformation.fit import blend
     from shapeforge.deformation.hierarchy import corresponding_points
 
     sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
     rng = np.random.default_rng([int(options["seed"]), int(sha256[:15], 16)])
     shape = prepare_shape(name, read_mesh(path), n_points=int(options["points"]), up=options["up"], rng=rng)
-    beliefs = fit_one(shape, state.templates, state.covariances, annealed_from=state.annealed_from)
-    labels, _ = label_faces(shape, beliefs)
+    candidates = fit_candidates(shape, state.templates, state.covariances, annealed_from=state.annealed_from)
+    beliefs, explained = blend(candidates), Explanations(candidates, state.templates, state.covariances.unary)
+    labels, _ = label_faces(shape, beliefs, explained=explained)
     positions, existence = corresponding_points(shape, beliefs, hierarchy)
     return shape, labels, positions, existence, beliefs.template
 

@@ -8,13 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from shapeforge.collection.shape import Shape
-from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.factors import FLOORS, Covariances
-from shapeforge.deformation.fit import ANNEALING, EXEMPLARS_PER_SHAPE, _start, _work_on_shape, blend
+from shapeforge.deformation.fit import ANNEALING, EXEMPLARS_PER_SHAPE, Candidate, _start, _work_on_shape
 from shapeforge.deformation.templates import PartTemplates
 
 
-def fit_one(
+def fit_candidates(
     shape: Shape,
     templates: Sequence[PartTemplates],
     covariances: Covariances,
@@ -24,10 +23,10 @@ def fit_one(
     inner: int = 3,
     exemplars_per_shape: int = EXEMPLARS_PER_SHAPE,
     faces: np.ndarray | None = None,
-) -> Beliefs:
-    """Beliefs of a new shape under fixed templates and covariances, annealed as in the family's own fit.
+) -> tuple[Candidate, ...]:
+    """What exemplars say of a new shape under fixed templates and covariances, annealed as in the family's own fit.
 
-    ``annealed_from`` is the fit's first σ1 (diagonals); ``faces`` are part labels painted on this shape, if any.
+    ``fit.blend`` makes them one.  ``annealed_from`` is the fit's first σ1 (diagonals); ``faces`` are part labels painted on this shape, if any.
     """
     templates = tuple(templates)
     candidates = _start(shape, faces, templates, -1, exemplars_per_shape, None)
@@ -36,4 +35,4 @@ def fit_one(
         sigma = max(FLOORS["unary"], annealed_from * ANNEALING**step)
         sharpened = replace(covariances, unary=sigma**2 * shape_of_unary)
         candidates, _, _ = _work_on_shape(shape, faces, templates, candidates, sharpened, inner, None)
-    return blend(candidates)
+    return candidates

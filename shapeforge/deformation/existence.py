@@ -37,7 +37,7 @@ points to the surface over the spacing of samples; nats per claimed point it is 
 those it claimed; prevalence among exemplars.  By logistic regression over 1100 parts, 200 of them absent, of six
 families; each family was predicted from the other five with an area under the curve of .95 (the nats alone: .85)."""
 
-DOUBT = -1.0
+DOUBT = -0.5
 """Log odds below which a part is switched off: losing a part that is there costs more than keeping a ghost."""
 
 NEGLIGIBLE_SHARE = 0.05

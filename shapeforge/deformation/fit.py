@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from itertools import repeat
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from shapeforge.collection.align import affine_align, thinned
 from shapeforge.collection.groups import Groups
@@ -120,20 +120,32 @@ class FitState:
         return self.covariances.sigmas()
 
 
-def blend(candidates: Sequence[Candidate]) -> Beliefs:
-    """The best candidate's beliefs, with the segmentations of all candidates of the shape averaged.
+def voices(candidates: Sequence[Candidate]) -> Float[np.ndarray, "C P"]:
+    """What each candidate's word is worth at every point of the surface (C, P); sums to 1 over the candidates.
 
-    A candidate's voice at a point falls with its misfit as a whole and around that point.  Parts that the best one's
-    template does not know, and that the average takes from another, are ``lent`` by it; parts that the best one knows
-    and found missing are not.
+    It falls with the misfit of the whole and with that around the point.
+    """
+    against = np.stack([candidate.misfit + candidate.local.astype(np.float64) for candidate in candidates])
+    worth = np.exp(against.min(axis=0) - against)
+    return worth / worth.sum(axis=0)
+
+
+def found_missing(candidates: Sequence[Candidate]) -> Bool[np.ndarray, " L"]:
+    """Parts (L,) that the best candidate's template knows and that it switched off: nobody else may claim them."""
+    best = max(candidates, key=lambda candidate: candidate.weight).beliefs
+    return ~best.active & ~np.isnan(best.misfit)
+
+
+def blend(candidates: Sequence[Candidate]) -> Beliefs:
+    """The best candidate's beliefs, with the segmentations of all candidates of the shape averaged by their voices.
+
+    Parts that the best one's template does not know, and that the average takes from another, are ``lent`` by it;
+    parts that the best one knows and found missing are not.
     """
     best = max(candidates, key=lambda candidate: candidate.weight).beliefs
-    against = np.stack([candidate.misfit + candidate.local.astype(np.float64) for candidate in candidates])
-    voices = np.exp(against.min(axis=0) - against)
-    voices /= voices.sum(axis=0)
-    missing = ~best.active & ~np.isnan(best.misfit)
+    missing = found_missing(candidates)
     said = np.stack([candidate.beliefs.segmentation.astype(np.float64) for candidate in candidates])
-    said = np.where(missing, 0.0, said) * voices[:, :, None]
+    said = np.where(missing, 0.0, said) * voices(candidates)[:, :, None]
     mixed = said.sum(axis=0) + 1e-9 * best.segmentation
     believed = said.sum(axis=1)
     lent = []

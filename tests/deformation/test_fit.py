@@ -14,9 +14,9 @@ from scipy.spatial import cKDTree
 from shapeforge.collection.families import generate
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.prepare import prepare_shape
-from shapeforge.deformation.apply import fit_one
-from shapeforge.deformation.faces import label_faces
-from shapeforge.deformation.fit import FitDiverged, fit_templates
+from shapeforge.deformation.apply import fit_candidates
+from shapeforge.deformation.faces import explanations, face_probabilities, label_faces, template_probabilities
+from shapeforge.deformation.fit import FitDiverged, blend, fit_templates
 from shapeforge.deformation.hierarchy import corresponding_points, link_templates
 
 N_POINTS = 700
@@ -182,6 +182,24 @@ def test_faces_follow_the_points_and_painted_faces_stay(family, states):
     assert (kept[:7] == 1).all()
 
 
+def test_templates_speak_for_faces_and_alone_where_there_is_no_sample(family, states):
+    """Faces that carry no sample take the templates' word, and get at least as many faces and as much area right."""
+    shapes, _, truth, _ = family
+    right = np.zeros((2, 2))
+    for t, shape in enumerate(shapes):
+        explained = explanations(states[-1], t)
+        spoken = template_probabilities(shape, explained)
+        np.testing.assert_allclose(spoken.sum(axis=1), 1.0)
+        told = face_probabilities(shape, states[-1].beliefs[t], explained)
+        bare = np.bincount(shape.face_of_point, minlength=shape.mesh.n_faces) == 0
+        np.testing.assert_allclose(told[bare], spoken[bare])
+        area = shape.mesh.face_areas / shape.mesh.face_areas.sum()
+        for way, given in enumerate((None, explained)):
+            correct = label_faces(shape, states[-1].beliefs[t], explained=given)[0] == truth[t]
+            right[way] += correct.mean(), area[correct].sum()
+    assert (right[1] >= right[0] - 1e-3 * len(shapes)).all()
+
+
 def test_every_shape_corresponds_through_the_family_templates(family, states):
     shapes = family[0]
     hierarchy = link_templates(states[-1].templates)
@@ -200,7 +218,8 @@ def test_every_shape_corresponds_through_the_family_templates(family, states):
 def test_a_new_shape_is_fitted_without_refitting(family, states):
     shapes, _, truth, _ = family
     last = states[-1]
-    beliefs = fit_one(shapes[3], last.templates, last.covariances, annealed_from=last.annealed_from, rounds=6)
+    annealed = {"annealed_from": last.annealed_from, "rounds": 6}
+    beliefs = blend(fit_candidates(shapes[3], last.templates, last.covariances, **annealed))
     wanted = truth[3][shapes[3].face_of_point]
     alone = (beliefs.segmentation.argmax(axis=1) == wanted).mean()
     together = (last.beliefs[3].segmentation.argmax(axis=1) == wanted).mean()
