@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from shapeforge.collection.surface import closest_points
+from shapeforge.synthesis import bending
 from shapeforge.synthesis.assemble import synthesize
-from shapeforge.synthesis.bending import start_part
+from shapeforge.synthesis.bending import bend, count_folds, start_part
 from shapeforge.synthesis.contacts import carry_along, choose_contacts, hold_contacts, join_islands
 from shapeforge.synthesis.surfaces import as_mesh
 
@@ -105,3 +106,17 @@ def test_a_part_that_touched_nothing_on_its_shape_is_joined(tables, sources) -> 
     moved = hold_contacts({0: away, 1: joined[1]}, contacts)
     assert sum(len(h) for h in moved.values()) >= 4
     assert join_islands(bent, [], np.zeros((2, 2)))[1] == []  # parts that never touch are left alone
+
+
+def test_what_would_fold_is_bent_stiffer(tables, sources, monkeypatch) -> None:
+    part = start_part(sources.part_of(0, 0), tables[0].points)
+    at = part.source.vertices
+    strip = np.flatnonzero((np.abs(at[:, [0, 2]]) < 0.07).all(axis=1) & (at[:, 1] > at[:, 1].max() - 1e-6))
+    crossed = {int(v): at[v] * [-1, 1, 1] for v in strip}  # left and right want to change places
+    with monkeypatch.context() as patch:
+        patch.setattr(bending, "STIFFER", (1.0,))
+        plain = bend(part, crossed, preview=False)
+    stiffer = bend(part, crossed, preview=False)
+    assert count_folds(plain, plain.x) > 10
+    assert count_folds(stiffer, stiffer.x) == 0
+    assert count_folds(part, part.start) == 0
