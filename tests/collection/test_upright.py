@@ -17,7 +17,6 @@ from shapeforge.collection.directions import (
     supports,
     turning_angle,
 )
-from shapeforge.collection.shape import Mesh
 from shapeforge.collection.symmetry import Reflections, mirror_planes
 from shapeforge.collection.upright import (
     FEATURES,
@@ -87,7 +86,8 @@ def test_the_mirror_of_a_turned_chair_is_found_without_a_hint():
 
 def assert_alike(one: np.ndarray, other: np.ndarray) -> None:
     """Equal features, but for the search for mirror planes, which is a search: .015 radii, times 10."""
-    np.testing.assert_allclose(one, other, atol=np.where(np.array(FEATURES) == "uprightness", 0.15, 0.01))
+    allowed = np.where(np.array(FEATURES) == "uprightness", 0.15, 0.01)
+    assert (np.abs(one - other) <= allowed).all(), dict(zip(FEATURES, (one - other)[0].round(3), strict=True))
 
 
 @pytest.mark.parametrize("build", [chair, table])
@@ -96,7 +96,7 @@ def test_turning_and_scaling_change_no_feature(build):
     mesh = build()
     there = surface_of_mesh(mesh.moved(40 * mesh.vertices @ TURN.T + [3, -2, 9]))
     here = surface_of_mesh(mesh)
-    given = np.array([[0.0, 1, 0], [0, -1, 0], [1, 0, 0]])
+    given = np.array([[0.0, 1, 0], [0, -1, 0]])
     for up, same in zip(given, given @ TURN.T, strict=True):
         one = up_features(here, up_candidates(here, up[None])[:1])
         other = up_features(there, up_candidates(there, same[None])[:1])
