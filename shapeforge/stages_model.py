@@ -135,12 +135,13 @@ def learn(task: Task) -> Iterator[Progress]:
 
 
 def stacked_positions(project: Project, names: Sequence[str]) -> np.ndarray:
-    """Corresponding points of all shapes (T, K, 3), normal coordinates, NaN where absent."""
+    """Corresponding points of all shapes (T, K, 3), normal coordinates as the family lies, NaN where absent."""
     found = [project.positions(name) for name in names]
     missing = [name for name, positions in zip(names, found, strict=True) if positions is None]
     if missing:
         raise StageError(f"{missing[0]} was not fitted. Fit again: shapeforge fit {project.path} --restart")
-    return np.stack([positions for positions in found if positions is not None])
+    beliefs = [project.beliefs(name) for name in names]
+    return np.stack([one.to_family(positions) for one, positions in zip(beliefs, found, strict=True)])
 
 
 def learn_into(
@@ -228,7 +229,8 @@ def refine(task: Task) -> Iterator[Progress]:
             yield task.progress("alternate", number, of, f"alternation {number + 1}, {_round_text(state)}", state=state)
 
         def corresponding(t: int, state: Any = state) -> np.ndarray:
-            return corresponding_points(project.shapes[t], blend(state.candidates[t]), hierarchy)[0]
+            beliefs = blend(state.candidates[t])
+            return beliefs.to_family(corresponding_points(project.shapes[t], beliefs, hierarchy)[0])
 
         positions = np.stack(list(task.workers.map(corresponding, range(len(names)))))
         number += 1

@@ -163,9 +163,9 @@ def apply(
                 failed.append(problem)
                 yield Progress("apply", "fit", step + 1, len(found), str(problem), problem=problem)
                 continue
-            shape, labels, positions, existence, template = result
+            shape, labels, positions, existence, beliefs = result
             write_result(out, shape, labels, positions, existence, ids, part_names)
-            done.append((name, positions, template))
+            done.append((name, beliefs.to_family(positions), beliefs.template))
             yield Progress("apply", "fit", step + 1, len(found), name)
     finally:
         workers.close()
@@ -180,7 +180,7 @@ def apply(
 
 
 def apply_one(name: str, path: Path, options: dict[str, Any], state: Any, hierarchy: Any) -> tuple[Any, ...]:
-    """One new shape: (shape, face labels, positions (K, 3), existence (K,), index of the templates that explain it)."""
+    """One new shape: (shape, face labels, positions (K, 3), existence (K,), beliefs)."""
     from shapeforge.collection.meshes import read_mesh
     from shapeforge.collection.prepare import prepare_shape
     from shapeforge.deformation.apply import fit_candidates
@@ -195,7 +195,7 @@ def apply_one(name: str, path: Path, options: dict[str, Any], state: Any, hierar
     beliefs, explained = blend(candidates), Explanations(candidates, state.templates, state.covariances.unary)
     labels, _ = label_faces(shape, beliefs, explained=explained)
     positions, existence = corresponding_points(shape, beliefs, hierarchy)
-    return shape, labels, positions, existence, beliefs.template
+    return shape, labels, positions, existence, beliefs
 
 
 def describe(machine: Any, positions: Sequence[np.ndarray]) -> np.ndarray:

@@ -34,7 +34,7 @@ CHOICES = ("auto", "x", "y", "z", "keep")
 PRIOR = {"+y": 4.5, "+z": 3.0, "+x": 0.0, "-y": 0.0, "-z": 0.0, "-x": 0.0}
 """Log-odds of each axis of the file for being up, against a direction that is no axis of the file."""
 ODD_PRIOR = 2.5
-"""Log-odds of y where the shape lies askew in the file, so that the file's axes seem to mean nothing."""
+"""Log-odds of y where nothing of the shape is square with it, so that it seems to mean nothing."""
 
 NEARLY = 2.0  # degrees: a direction this near an axis of the file is that axis
 SIDEWAYS = 10.0  # degrees from vertical up to which a mirror plane tells which way a shape faces
@@ -101,13 +101,14 @@ def poses(surface: Surface, *, file_axes: bool = True) -> list[Pose]:
 
     ``file_axes``: the axes of the coordinates are probably those of the file, which mean something (``PRIOR``).
     """
-    askew = not _square(surface)
-    ups = up_candidates(surface, _SIGNS[1:2] if askew else _SIGNS)
+    natural = _natural_axes(surface)
+    ups = up_candidates(surface, _SIGNS[[axis == 1 or axis % 3 in natural for axis in range(6)]])
     score = log_likelihoods(up_features(surface, ups))
     names = [_axis_name(up.direction) for up in ups]
     if file_axes:
-        prior = {"+y": ODD_PRIOR} if askew else PRIOR
-        score = score + [prior.get(name, 0.0) for name in names]
+        known = [name != "" and "xyz".index(name[1]) in natural for name in names]
+        odd = [ODD_PRIOR if name == "+y" else 0.0 for name in names]
+        score = score + [PRIOR[name] if yes else other for name, yes, other in zip(names, known, odd, strict=True)]
     score -= np.logaddexp.reduce(score)
     found = [
         Pose(TURNS[name] if name else upright(up.direction, surface), float(value), name)
@@ -130,12 +131,16 @@ def upright(up: Float[np.ndarray, " 3"], surface: Surface) -> Float[np.ndarray, 
     return _least_turn(up)
 
 
-def _square(surface: Surface) -> bool:
-    """Whether the shape is square with the axes: faces along one, is mirrored across one, or can stand on one."""
+def _natural_axes(surface: Surface) -> set[int]:
+    """The axes of the file (0, 1, 2) that the shape is square with: it faces along, is mirrored across or stands on it.
+
+    Two of them make the third; one alone does not: a shape may be tilted about it.
+    """
     natural = [axis for frame, _ in surface.frames for axis in frame]
     natural += [plane.normal for plane in surface.mirrors if plane.error < GOOD_MIRROR]
     natural += [up for up, _ in supports(surface.hull)]
-    return any(_axis_name(direction) for direction in natural)
+    found = {"xyz".index(name[1]) for name in map(_axis_name, natural) if name}
+    return {0, 1, 2} if len(found) > 1 else found
 
 
 def _sideways(up: np.ndarray, surface: Surface) -> list[np.ndarray]:

@@ -26,7 +26,8 @@ def fit_candidates(
 ) -> tuple[Candidate, ...]:
     """What exemplars say of a new shape under fixed templates and covariances, annealed as in the family's own fit.
 
-    ``fit.blend`` makes them one.  ``annealed_from`` is the fit's first σ1 (diagonals); ``faces`` are part labels painted on this shape, if any.
+    ``fit.blend`` makes one of them.  ``annealed_from`` is the fit's first σ1 (diagonals); ``faces`` are part labels
+    painted on this shape, if any.
     """
     templates = tuple(templates)
     candidates = _start(shape, faces, templates, -1, exemplars_per_shape, None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -17,7 +17,8 @@ class Beliefs:
     ``maps`` and ``offsets`` are the linear map of each part (y -> maps[l] @ y + offsets[l]);
     ``evidence`` is the part painted by the user per point, -1 where nothing was painted;
     ``misfit`` the log odds of each part's existence, by which it was kept or switched off (NaN: not asked);
-    ``lent`` the parts that this template lacks and another exemplar's beliefs bring: (part, those beliefs).
+    ``lent`` the parts that this template lacks and another exemplar's beliefs bring: (part, those beliefs);
+    ``pose`` turns the shape as the family lies (§7): positions here are the shape's own, ``x @ pose.T`` the family's.
     """
 
     template: int
@@ -30,3 +31,21 @@ class Beliefs:
     evidence: Int[np.ndarray, " P"]
     misfit: Float[np.ndarray, " L"]
     lent: tuple[tuple[int, Beliefs], ...] = ()
+    pose: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
+
+    def to_family(self, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Positions (n, 3) on the shape, turned as the family lies: what shapes are compared in, and learnt from."""
+        return positions if self.lies_as_the_family else positions @ self.pose.T
+
+    def from_family(
+        self, mean: Float[np.ndarray, "n 3"], precision: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+        """A Gaussian on points as the family lies, turned as the shape does (``pose`` takes axes to axes)."""
+        if self.lies_as_the_family:
+            return mean, precision
+        return mean @ self.pose, precision @ np.abs(self.pose)
+
+    @property
+    def lies_as_the_family(self) -> bool:
+        """Whether the shape needs no turning."""
+        return bool(np.array_equal(self.pose, np.eye(3)))

@@ -25,6 +25,7 @@ from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.energy import free_energy
 from shapeforge.deformation.existence import part_prevalence, switch_off_missing
 from shapeforge.deformation.factors import FLOORS, Covariances, attraction, floored, initial_covariances
+from shapeforge.deformation.pose import posed_starts
 from shapeforge.deformation.templates import PartTemplates, template_from_exemplar
 from shapeforge.deformation.updates import (
     Candidates,
@@ -284,6 +285,8 @@ def _work_on_shape(
     for candidate in candidates:
         before, g = _unpacked(candidate.beliefs), candidate.beliefs.template
         prior = priors.get(g) if priors is not None else None
+        if prior is not None:
+            prior = before.from_family(*prior)
         try:
             beliefs, summary = fit_shape(
                 problem, templates[g], before, covariances, prevalence, inner=inner, prior=prior, pull=pull
@@ -409,12 +412,23 @@ def affine_beliefs(
 
 
 def _start(shape, faces, templates, own, how_many, seed) -> tuple[Candidate, ...]:
-    """Affine starts of a shape: its own group's exemplar first, then the best of the others."""
+    """Affine starts of a shape: its own group's exemplar first, then the best of the others; turned ones if better.
+
+    Poses compete as exemplars do, by weight; those that are far behind are given up here.
+    """
     problem = make_problem(shape, faces)
     alignments = [affine_align(template.points, shape.points) for template in templates]
     order = sorted(range(len(templates)), key=lambda g: (g != own, alignments[g].residual))[:how_many]
     beliefs = [affine_beliefs(shape, problem, templates[g], g, alignments[g], seed) for g in order]
-    return tuple(map(_compact, weigh(problem, templates, beliefs)))
+    turned = posed_starts(shape.points, [template.points for template in templates], alignments)
+    if not turned:
+        return tuple(map(_compact, weigh(problem, templates, beliefs)))
+    for start in turned:
+        found = affine_beliefs(shape, problem, templates[start.template], start.template, start.alignment, seed)
+        beliefs.append(replace(found, pose=start.pose))
+    candidates = weigh(problem, templates, beliefs)
+    kept = sorted(candidates, key=lambda candidate: -candidate.weight)[: max(how_many, 2)]
+    return tuple(_compact(candidate) for candidate in candidates if candidate in kept)
 
 
 def _exemplar_templates(shapes, groups, labels, part_names, seeds) -> Iterator[PartTemplates]:

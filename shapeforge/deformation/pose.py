@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.distance import cdist
 
-from shapeforge.collection.align import thinned
+from shapeforge.collection.align import Alignment, affine_align, thinned
+from shapeforge.collection.directions import AXIS_ROTATIONS
 from shapeforge.collection.orient import poses
 from shapeforge.collection.upright import Surface
 
@@ -33,7 +34,10 @@ NARROW = 0.6  # of the typical distance to the most alike: the width within whic
 LONELY = 1e-4  # likeness, of one, with nobody at all
 VOTERS = 150  # shapes that settle it among themselves; the others listen to them
 ROUNDS = 15
-_N_POINTS = 500
+
+TRIED = 4  # turned starts whose alignment is refined
+BETTER = 0.93  # of the residual as the shape lies that a turned start must leave
+_N_POINTS, _N_SCREENED, _N_ALIGNED = 500, 160, 400
 _N_ODD = 9
 
 
@@ -128,6 +132,45 @@ def chosen_rotations(
     back = np.eye(3) if standing else QUARTERS[int(habit.argmax())].T
     best = [turns.rotations[int(p.argmax())] for turns, p in zip(family, probabilities, strict=True)]
     return [back @ rotation for rotation in best]
+
+
+@dataclass(frozen=True, eq=False)
+class PosedStart:
+    """A template's affine map onto a shape that ``pose`` puts right; ``alignment`` leads to the shape as it lies."""
+
+    template: int
+    pose: Float[np.ndarray, "3 3"]
+    alignment: Alignment
+
+
+def posed_starts(
+    points: Float[np.ndarray, "P 3"],
+    templates: Sequence[Float[np.ndarray, "K 3"]],
+    alignments: Sequence[Alignment],
+    *,
+    rotations: Float[np.ndarray, "r 3 3"] = AXIS_ROTATIONS[1:],
+) -> list[PosedStart]:
+    """Turned starts that explain a shape better than any start does as it lies, best first; mostly none.
+
+    ``templates`` are the exemplars' points (K, 3), ``alignments`` their maps onto the shape's ``points`` (P, 3) as it
+    lies.  All ``rotations`` are screened on few points without refining, the most promising are aligned properly.
+    """
+    least = min(alignment.residual for alignment in alignments)
+    few = thinned(points, _N_SCREENED)
+    screened = []
+    for r, rotation in enumerate(rotations):
+        turned = few @ rotation.T
+        for g, template in enumerate(templates):
+            start = affine_align(template, turned, starts=("spread",), n_points=_N_SCREENED, max_iterations=0)
+            screened.append((start.residual, r, g))
+    found = []
+    for _, r, g in sorted(screened)[:TRIED]:
+        rotation = rotations[r]
+        there = affine_align(templates[g], points @ rotation.T, n_points=_N_ALIGNED)
+        if there.residual < BETTER * least:
+            back = Alignment(rotation.T @ there.matrix, rotation.T @ there.offset, there.residual, there.start)
+            found.append(PosedStart(g, rotation, back))
+    return sorted(found, key=lambda start: start.alignment.residual)
 
 
 def _habit(now: np.ndarray, quarter: np.ndarray, n_shapes: int) -> np.ndarray:

@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
-from shapeforge.collection.orient import CHOICES, TURNS, orient
+from shapeforge.collection.directions import turning_angle
+from shapeforge.collection.orient import CHOICES, TURNS, orient, poses, upright
 from shapeforge.collection.shape import Mesh
+from shapeforge.collection.upright import make_surface, surface_of_mesh
 
 DATA = Path(os.environ.get("SHAPEFORGE_DATA", Path(__file__).parents[3] / "shared" / "data"))
 
@@ -64,6 +67,31 @@ def test_auto_does_not_turn_what_has_no_area():
     mesh = Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]]), np.zeros(1, np.int64), 1)
     rotation, _ = orient(mesh, "auto")
     assert np.array_equal(rotation, np.eye(3))
+
+
+TILT = Rotation.from_rotvec(np.radians([8.0, 0, 6.0])).as_matrix()
+
+
+@pytest.mark.parametrize("build", [chair, table])
+def test_auto_takes_a_tilt_away_and_squares_the_shape(build):
+    mesh = build()
+    rotation, note = orient(mesh.moved(mesh.vertices @ TILT.T), "auto")
+    assert turning_angle(rotation @ TILT) < 1 and "tilted by 10 degrees" in note
+
+
+def test_poses_are_probabilities_of_different_directions_best_first():
+    found = poses(surface_of_mesh(chair()))
+    assert found[0].name == "+y" and np.exp([pose.score for pose in found]).sum() == pytest.approx(1)
+    assert (np.diff([pose.score for pose in found]) <= 0).all()
+    for pose in found:
+        assert np.linalg.det(pose.rotation) == pytest.approx(1)
+        np.testing.assert_allclose(pose.rotation @ pose.rotation.T, np.eye(3), atol=1e-9)
+
+
+def test_a_direction_opposite_to_up_can_be_turned_up():
+    blob = np.random.default_rng(0).normal(size=(300, 3))
+    rotation = upright(np.array([0.0, -1.0, 0.0]), make_surface(blob, blob / 2, blob))
+    np.testing.assert_allclose(rotation @ [0, -1, 0], [0, 1, 0], atol=1e-9)
 
 
 def test_unknown_up_is_an_error():
