@@ -70,8 +70,8 @@ def make_fresh(folder: Path) -> Path:
     return place
 
 
-def in_few_colours(image: Any) -> Any:
-    """The picture with a palette of 256: rare colours (marks, dots) count more than their area says."""
+def in_few_colours(image: Any, colours: int) -> Any:
+    """The picture with a palette: rare colours (marks, dots) count more than their area says."""
     import numpy as np
     from PIL import Image
     from scipy.spatial import cKDTree
@@ -80,8 +80,8 @@ def in_few_colours(image: Any) -> Any:
     pixels = np.asarray(image).reshape(-1, 3)
     seen, which, count = np.unique(pixels, axis=0, return_inverse=True, return_counts=True)
     centres = seen
-    if len(seen) > 256:
-        means = MiniBatchKMeans(256, n_init=1, batch_size=4096, random_state=0)
+    if len(seen) > colours:
+        means = MiniBatchKMeans(colours, n_init=1, batch_size=4096, random_state=0)
         # The square root tells dark greys apart: the shadow on the floor has no steps.
         centres = means.fit(np.sqrt(seen / 255), sample_weight=count**0.4).cluster_centers_ ** 2 * 255
     palette = np.round(centres).astype(np.uint8)
@@ -228,7 +228,7 @@ class Tour:
         )
         self.out.mkdir(parents=True, exist_ok=True)
         file = self.out / f"{name}.png"
-        in_few_colours(image).save(file, optimize=True)
+        in_few_colours(image, 256 if image.width <= SMALL[0] else 80).save(file, optimize=True)
         print(f"{file} {file.stat().st_size // 1024} kB", flush=True)
 
     def wanted(self, name: str) -> bool:

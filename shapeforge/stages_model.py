@@ -50,7 +50,7 @@ def fit(task: Task) -> Iterator[Progress]:
         raise StageError("the fit made no round; wanted rounds of at least 1")
     yield task.progress("hierarchy", 0, 1, "linking the groups' templates", state=state)
     explained = np.bincount([one.template for one in state.beliefs], minlength=len(state.templates))
-    hierarchy = link_templates(state.templates, explained)
+    hierarchy = link_templates(state.templates, explained.tolist())
     write_record(folder / "hierarchy.zarr.zip", hierarchy)
     yield from write_shapes(task, folder, state, hierarchy)
     write_record(folder / "fit.zarr.zip", state)

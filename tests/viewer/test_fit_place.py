@@ -13,6 +13,7 @@ from shapeforge.store import Project
 from shapeforge.viewer.fit_display import FittedPoints, TemplateLook, movement, point_colours, sureness, to_plane
 from shapeforge.viewer.palette import SWITCHED_OFF, rgb
 from shapeforge.viewer.qt.fit_panel import FitPlace
+from shapeforge.viewer.qt.fit_report import existence_text
 from shapeforge.viewer.qt.fit_widgets import draw_points
 from shapeforge.viewer.qt.plots import nice_ticks
 
@@ -270,3 +271,11 @@ def test_a_switched_off_part_can_be_insisted_on(open_window, fitted, qtbot):
     qtbot.mouseClick(place.report.note_override, LEFT)
     assert (session.place, session.shape, session.part) == ("paint", name, int(off[name][0]))
     assert part in session.status
+
+
+@pytest.mark.parametrize(
+    ("odds", "words"),
+    [(-9.0, "less than 1%"), (-2.0, "12%"), (float("nan"), "has no such part"), (float("-inf"), "no surface")],
+)
+def test_why_a_part_is_off_is_said_as_a_chance(odds, words):
+    assert words in existence_text(odds)

@@ -120,12 +120,7 @@ class FitReport(QWidget):
             self._off = record.off_elsewhere(part, name)
             also = f" Also on {len(self._off)} other shapes." if self._off else ""
             self.note_title.setText(f"{' and '.join(names[p] for p in off)} switched off".capitalize())
-            reason = "It claims no surface that another part would not."
-            if np.isnan(odds):
-                reason = "The exemplar that explains this shape best has no such part."
-            elif np.isfinite(odds):
-                reason = f"Its points hardly fit the surface: {100 / (1 + np.exp(-odds)):.0f}% likely to be there."
-            self.note_text.setText(f"{reason}{also}")
+            self.note_text.setText(f"{existence_text(odds)}{also}")
             others = len(self._off)
             self._off = self._off[:WATCHED_AT_MOST]
             count = len(self._off)
@@ -133,6 +128,17 @@ class FitReport(QWidget):
             self.note_show.setText(all_of if count == others else f"Show {count} of them")
             self.note_show.setVisible(bool(self._off))
             self.note.setVisible(True)
+
+
+def existence_text(odds: float) -> str:
+    """Why a part is off, from the log odds (nats) of its existence: NaN when its template has no such part."""
+    if np.isnan(odds):
+        return "The exemplar that explains this shape best has no such part."
+    if np.isinf(odds):
+        return "It claims no surface that another part would not."
+    chance = 100 / (1 + np.exp(-np.clip(odds, -50, 50)))
+    words = "less than 1%" if chance < 1 else f"{chance:.0f}%"
+    return f"Its points hardly fit the surface: {words} likely to be there."
 
 
 def energy_text(record: FitRecord, number: int) -> str:
