@@ -130,7 +130,7 @@ def test_beliefs_turn_points_and_priors_between_shape_and_family():
     turn = AXIS_ROTATIONS[9]
     none = np.zeros((0, 3))
     beliefs = Beliefs(0, none, none, np.zeros((0, 3, 3)), none, np.zeros((0, 0)), np.zeros(0, bool),
-                      np.zeros(0, int), np.zeros(0), turn)  # fmt: skip
+                      np.zeros(0, int), np.zeros(0), pose=turn)  # fmt: skip
     points = np.random.default_rng(0).random((5, 3))
     there = beliefs.to_family(points)
     np.testing.assert_allclose(there, points @ turn.T)
