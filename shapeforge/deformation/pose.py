@@ -36,7 +36,7 @@ VOTERS = 150  # shapes that settle it among themselves; the others listen to the
 ROUNDS = 15
 
 TRIED = 4  # turned starts whose alignment is refined
-BETTER = 0.93  # of the residual as the shape lies that a turned start must leave
+BETTER = 0.85  # of the residual as the shape lies that a turned start must leave
 _N_POINTS, _N_SCREENED, _N_ALIGNED = 500, 160, 400
 _N_ODD = 9
 
