@@ -233,21 +233,23 @@ class Sculptor:
     # ---- words ---------------------------------------------------------------------------------------------------
 
     def _names(self) -> list[str]:
-        """A name for every slider from what it does to the family's middle."""
+        """A name for every slider from what it does to the family's middle; how far that goes is kept for captions."""
         base = self.mean_base()
         exists = np.array(base.exists[0], bool)
         found, every = [], np.ones(len(self.part_names), bool)
+        self._moves: list[np.ndarray] = []
         for index, direction in enumerate(self.directions):
             ends = [
                 drive(self.machine, base, {index: value}, every, directions=self.directions)
                 for value in (direction.low, direction.high)
             ]
+            self._moves.append(np.linalg.norm(np.asarray(ends[1]) - np.asarray(ends[0]), axis=1))
             found.append(changes(np.asarray(ends[0]), np.asarray(ends[1]), self.part, self.part_names, exists))
         return choose_names(found, [direction.name for direction in self.directions])
 
     def caption(self, index: int) -> str:
-        """What a slider moves on the shape in hand."""
-        return what_moves(self.directions[index].moves, self.part, self.part_names, self.exists())
+        """What a slider moves on the shape in hand, as far as its name was measured: name and caption agree."""
+        return what_moves(self._moves[index], self.part, self.part_names, self.exists())
 
     # ---- pulling at the shape ------------------------------------------------------------------------------------
 
