@@ -380,15 +380,15 @@ def test_the_other_end_has_the_same_parts_where_there_is_such_a_shape(sculptor):
         assert not twins or other in twins
 
 
-def test_name_and_caption_of_a_slider_are_measured_on_the_same_shape(sculptor):
-    """On the family's middle, from the low to the high end: "Width of the leg" never "moves: back"."""
-    base = sculptor.mean_base()
-    sculptor.start(Recipe("mean", base, origin="mean"))
+def test_a_caption_is_measured_on_the_shape_in_hand(sculptor):
+    """From the low to the high end of the slider; another shape in hand, another caption."""
     every = np.ones(len(sculptor.part_names), bool)
-    for index, direction in enumerate(sculptor.directions):
-        low, high = (
-            drive(sculptor.machine, base, {index: value}, every, directions=sculptor.directions)
-            for value in (direction.low, direction.high)
-        )
-        far = np.linalg.norm(np.asarray(high) - np.asarray(low), axis=1)
-        assert sculptor.caption(index) == what_moves(far, sculptor.part, sculptor.part_names, sculptor.exists())
+    for origin, base in (("mean", sculptor.mean_base()), ("other", sculptor.base_of(sculptor.shape_names[2]))):
+        sculptor.start(Recipe(origin, base, origin=origin))
+        for index, direction in enumerate(sculptor.directions):
+            low, high = (
+                drive(sculptor.machine, base, {index: value}, every, directions=sculptor.directions)
+                for value in (direction.low, direction.high)
+            )
+            far = np.linalg.norm(np.asarray(high) - np.asarray(low), axis=1)
+            assert sculptor.caption(index) == what_moves(far, sculptor.part, sculptor.part_names, sculptor.exists())
