@@ -236,18 +236,31 @@ class Sculptor:
         """A name for every slider from what it does to the family's middle."""
         base = self.mean_base()
         exists = np.array(base.exists[0], bool)
-        found, every = [], np.ones(len(self.part_names), bool)
-        for index, direction in enumerate(self.directions):
-            ends = [
-                drive(self.machine, base, {index: value}, every, directions=self.directions)
-                for value in (direction.low, direction.high)
-            ]
-            found.append(changes(np.asarray(ends[0]), np.asarray(ends[1]), self.part, self.part_names, exists))
+        self._moves: dict[tuple[str, int], np.ndarray] = {}
+        found = []
+        for index in range(len(self.directions)):
+            low, high = self._ends(base, index)
+            found.append(changes(low, high, self.part, self.part_names, exists))
         return choose_names(found, [direction.name for direction in self.directions])
 
+    def _ends(self, base: Latents, index: int) -> tuple[np.ndarray, np.ndarray]:
+        """A shape's points (K, 3) with one slider at the low and at the high end of the data."""
+        every, direction = np.ones(len(self.part_names), bool), self.directions[index]
+        low, high = (
+            np.asarray(drive(self.machine, base, {index: value}, every, directions=self.directions))
+            for value in (direction.low, direction.high)
+        )
+        return low, high
+
     def caption(self, index: int) -> str:
-        """What a slider moves on the shape in hand."""
-        return what_moves(self.directions[index].moves, self.part, self.part_names, self.exists())
+        """What a slider moves on the shape in hand, from the low to the high end: measured once for its origin."""
+        key = (self.recipe.origin, index)
+        if key not in self._moves:
+            if len(self._moves) > 40 * len(self.directions):
+                self._moves.clear()
+            low, high = self._ends(self.recipe.base, index)
+            self._moves[key] = np.linalg.norm(high - low, axis=1)
+        return what_moves(self._moves[key], self.part, self.part_names, self.exists())
 
     # ---- pulling at the shape ------------------------------------------------------------------------------------
 

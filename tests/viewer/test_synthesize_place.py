@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QPoint, Qt
 
+from shapeforge.generative.units import drive
 from shapeforge.store import Project
 from shapeforge.viewer.display import MeshLayer, PointLayer
 from shapeforge.viewer.mesh_worker import MeshWorker
-from shapeforge.viewer.sculptor import Sculptor, measure_words
+from shapeforge.viewer.sculptor import Recipe, Sculptor, measure_words
 from shapeforge.viewer.session import Session
 from shapeforge.viewer.slider_names import changes, choose_names, what_moves
 from tests.viewer.conftest import paint_exemplars, run_stage
@@ -377,3 +378,17 @@ def test_the_other_end_has_the_same_parts_where_there_is_such_a_shape(sculptor):
             if i != index and (exists[i] == exists[index]).all() and groups[i] == groups[index]
         ]  # fmt: skip
         assert not twins or other in twins
+
+
+def test_a_caption_is_measured_on_the_shape_in_hand(sculptor):
+    """From the low to the high end of the slider; another shape in hand, another caption."""
+    every = np.ones(len(sculptor.part_names), bool)
+    for origin, base in (("mean", sculptor.mean_base()), ("other", sculptor.base_of(sculptor.shape_names[2]))):
+        sculptor.start(Recipe(origin, base, origin=origin))
+        for index, direction in enumerate(sculptor.directions):
+            low, high = (
+                drive(sculptor.machine, base, {index: value}, every, directions=sculptor.directions)
+                for value in (direction.low, direction.high)
+            )
+            far = np.linalg.norm(np.asarray(high) - np.asarray(low), axis=1)
+            assert sculptor.caption(index) == what_moves(far, sculptor.part, sculptor.part_names, sculptor.exists())

@@ -43,10 +43,10 @@ class FitReport(QWidget):
         self.note_title, self.note_text = label("", "heading", wrap=True), label("", "caption", wrap=True)
         self.note_show = button("", kind="link", tooltip="Watch these shapes below")
         self.note_show.clicked.connect(lambda: self.watch.emit(self._off))
-        self.note_override = button("Override")
+        self.note_override = button("Override", kind="link")
         self.note_override.clicked.connect(lambda: self.override.emit(self._off_here))
         words = column(
-            self.note_title, self.note_text, 4, row(self.note_override, self.note_show, None, spacing=4), spacing=2
+            self.note_title, self.note_text, 4, row(self.note_override, self.note_show, None, spacing=16), spacing=2
         )
         sign = column(icon_label("info", "accent_text"), None)
         self.note = framed(row(sign, words, margins=(12, 10, 12, 10)), "note")
