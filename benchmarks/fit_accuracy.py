@@ -71,7 +71,7 @@ MEASURES = ("faces", "area", "part IoU", "corr@.02", "corr@.05", "corr@.10", "AU
 
 # -- the ablations ---------------------------------------------------------------------------------------------------
 
-HUGE = 1e6  # a variance (diagonals squared) under which a factor says nothing
+HUGE = 1.0  # a variance (diagonals squared) under which a factor says nothing: as wide as the whole shape
 
 
 def _start_without(factor: str) -> Covariances:
@@ -233,10 +233,10 @@ def fitted(family: Family, method: str) -> Answer:
         for name, value in ABLATIONS.get(method, ("", {}))[1].items():
             patched.enter_context(patch(f"shapeforge.deformation.{name}", value))
         try:
-            state = last(fit_templates(shapes, groups, painted, family.part_names, rng=np.random.default_rng(0)))
-        except FitDiverged as error:
-            print(f"{method}: {error}; scored as it was after round {error.state.round}", file=sys.stderr)
-            state = error.state
+            for now in fit_templates(shapes, groups, painted, family.part_names, rng=np.random.default_rng(0)):
+                state = now
+        except (FitDiverged, np.linalg.LinAlgError) as error:  # the states before are as good as the ablation gets
+            print(f"{method}: {error}; scored as it was after round {state.round}", file=sys.stderr)
     beliefs = state.beliefs
     explained = np.bincount([one.template for one in beliefs], minlength=len(state.templates))
     hierarchy = link_templates(state.templates, explained)
@@ -381,7 +381,8 @@ def main() -> None:
     methods = [method for method in options.methods if method not in missing]
     results = run(sets, methods, options.seeds, options.shapes, options.points)
     if not options.json:
-        print("\n".join(f"left out: {reason}" for reason in skipped))
+        for reason in skipped:
+            print(f"left out: {reason}")
         for name, found in results.items():
             title = f"{name}: P = {options.points}, at most {options.shapes} shapes, seeds {options.seeds}, "
             print(f"\n{title}{EXEMPLARS} exemplars that cover the parts, not scored")
