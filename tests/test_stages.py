@@ -20,7 +20,7 @@ from shapeforge.collection.iterate import last
 from shapeforge.deformation.hierarchy import Link
 from shapeforge.stages import Progress, StageError, next_step, run, status
 from shapeforge.stages_collection import merged_part_names
-from shapeforge.stages_model import on_template
+from shapeforge.stages_model import on_template, starting_groups
 from shapeforge.store import PartNames, Project
 from shapeforge.workers import Workers
 
@@ -348,3 +348,20 @@ def test_refine_replaces_fit_and_machine(done: Project, tmp_path: Path) -> None:
     assert not np.array_equal(project.machine().weights12, machine.weights12)
     last(run(project, "fit", rounds=1))
     assert project.fit_stage == "fit" and states(project)["refine"] == "stale"
+
+
+def test_first_parts_bring_exemplars_unless_they_were_chosen_by_hand(tmp_path: Path, grouped: Project):
+    by_hand = copy_of(grouped, tmp_path / "hand")
+    proposal = last(run(by_hand, "cosegment", parts=3)).state
+    assert proposal.exemplars.tolist() == by_hand.groups.exemplars.tolist()
+    automatic = copy_of(grouped, tmp_path / "auto")
+    last(run(automatic, "group", exemplars=["auto"]))
+    proposal = last(run(automatic, "cosegment", parts=4)).state
+    groups = automatic.groups
+    count = [len(np.unique(s.argmax(axis=1))) for s in proposal.segmentation]
+    for g, exemplar in enumerate(proposal.exemplars):
+        assert groups.group[exemplar] == g
+    assert starting_groups(automatic).exemplars.tolist() == proposal.exemplars.tolist()
+    assert max(count) == 4
+    automatic.set_labels("chair_0000", np.zeros(automatic.shape_record("chair_0000")["n_faces"], np.int32))
+    assert starting_groups(automatic).exemplars.tolist() == groups.exemplars.tolist()

@@ -27,6 +27,7 @@ SHARED = 20.0  # pieces' worth of belief that a part spreads as much as the othe
 PLAY_BELIEF, USUAL_PLAY = 2.0, 0.1  # shapes' worth of belief in the usual play
 TEMPERS = (0.25, 0.5, 1.0)  # power of its area with which a piece counts: small parts need a voice, too
 STARTS = 6
+BESIDE = 0.8  # share of its shapes on which a part split off lies beside the rest; else it is another kind of the same
 FEWEST_SPLIT, FEWEST_OFF, LEAST_SHARE = 8, 3, 0.003  # pieces to split, pieces split off, and their share of the area
 
 
@@ -176,7 +177,10 @@ def split_most_distinct(
             first = weight[rows[half == 0]].sum() > weight[rows[half == 1]].sum()
             off, rest = (rows[half == 1], rows[half == 0]) if first else (rows[half == 0], rows[half == 1])
             enough = len(off) >= FEWEST_OFF and weight[off].sum() >= LEAST_SHARE * weight.sum()
-            if not enough or len(np.unique(owner[off])) < min(2, len(np.unique(owner))):
+            where = np.unique(owner[off])
+            if not enough or len(where) < min(2, len(np.unique(owner))):
+                continue
+            if np.isin(where, owner[rest]).mean() < BESIDE:
                 continue
             distance = bhattacharyya(features[off], features[rest])
             if distance > most:

@@ -34,6 +34,7 @@ SILHOUETTE_ROWS = 3000  # patches on which numbers of parts are compared
 TAUGHT = 60  # shapes that the boxes are learnt from; the pieces of the others follow like pieces of these
 ALIKE = 7  # pieces that a piece of another shape follows
 PRESENT = 0.01  # of its points: a shape with less of a part does not have it
+COMMON = 0.2  # of the shapes: a part that fewer have makes no exemplar (it may be one odd back)
 VOTING_ROUNDS, VOTES = 2, 30
 VOTERS, VOTED = 12_000, 1000  # points of all shapes that vote; points of a shape that are voted on
 REACH = 0.12  # diagonals that count as much as turning the normal by a right angle
@@ -189,8 +190,9 @@ def _from_patches(pieces: _Pieces, patches: _Pieces, of_patch: np.ndarray, n_par
 
 def richest_exemplars(groups: Groups, parts: list[np.ndarray], n_parts: int) -> Int[np.ndarray, " G"]:
     """An exemplar (G,) for every group among its shapes with the most parts (§2): its own if that is one of them, else
-    the one nearest to the whole group."""
+    the one nearest to the whole group.  Only parts that are common in the collection count."""
     has = np.stack([np.bincount(part, minlength=n_parts) >= PRESENT * len(part) for part in parts])
+    has = has[:, has.mean(axis=0) >= COMMON]
     distance = groups.dissimilarity if groups.dissimilarity is not None else cdist(groups.embedding, groups.embedding)
     exemplars = groups.exemplars.copy()
     for g in range(len(groups)):

@@ -186,6 +186,8 @@ def test_exemplars_are_among_the_shapes_with_the_most_parts():
     hardly = np.where(np.arange(1000) < 5, 2, np.arange(1000) % 2)  # a few stray points are no part
     chosen = richest_exemplars(groups, [two, three, three, hardly, three, two], 3)
     assert chosen.tolist() == [1, 4]
+    odd = np.repeat([0, 1, 3], 50)  # a part that a single shape has is no reason to choose it
+    assert richest_exemplars(groups, [two, odd, two, two, two, two], 4).tolist() == [0, 4]
 
 
 def test_many_shapes_follow_those_that_were_taught(chairs, monkeypatch):
