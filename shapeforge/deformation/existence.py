@@ -30,15 +30,15 @@ LOSS_CAP = 10.0
 SUPPORTED = 0.3
 """Share of the surface per template point, relative to an even one, from which a template point counts as supported."""
 
-INTERCEPT = -8.8
-SIGNS = {"support": 4.5, "distance": -1.05, "worth": 0.55, "facing": 3.5, "prevalence": 2.6}
-"""Log odds that a part exists: the intercept and, per unit, its share of supported points; log of the distance of its
-points to the surface over the spacing of samples; nats per claimed point it is worth; |cos| between its normals and
-those it claimed; prevalence among exemplars.  By logistic regression over 1100 parts, 200 of them absent, of six
-families; each family was predicted from the other five with an area under the curve of .95 (the nats alone: .85)."""
+INTERCEPT = -14.4
+SIGNS = {"support": 3.5, "gap": -1.3, "worth": 0.63, "facing": 2.9, "prevalence": 2.7}
+"""Log odds that a part exists: the intercept and, per unit, its share of supported points; log of its points' distance
+to the surface (diagonals, plus .003); nats per claimed point it is worth; |cos| between its normals and those it
+claimed; prevalence among exemplars.  By logistic regression over 1100 parts, 200 of them absent, of six families; each
+family was predicted from the other five with an area under the curve of .96 (the nats alone: .82)."""
 
-DOUBT = -0.5
-"""Log odds below which a part is switched off: losing a part that is there costs more than keeping a ghost."""
+DOUBT = -2.0
+"""Log odds below which a part is switched off: losing a part that is there costs far more than keeping a ghost."""
 
 NEGLIGIBLE_SHARE = 0.05
 """Share of the surface claimed, relative to the part's share of the template, below which a part is off anyway."""
@@ -89,7 +89,8 @@ def switch_off_missing(
     painted = np.bincount(problem.evidence[problem.evidence >= 0], minlength=templates.n_parts) > 0
     own = np.bincount(templates.label, minlength=templates.n_parts) * beliefs.active
     supported = correspondence.mass > SUPPORTED * len(problem.points) / own.sum()
-    away = nearest_points(problem.points, beliefs.deformed)[1][:, 0] / problem.spacing
+    # from samples to the surface between them: half their spacing says nothing
+    gap = np.maximum(nearest_points(problem.points, beliefs.deformed)[1][:, 0] - 0.5 * problem.spacing, 0.0)
     normals = mapped_normals(templates, beliefs)
     odds = beliefs.misfit.copy()  # those of parts found missing before are kept: the window shows them
     for part in np.flatnonzero(beliefs.active).tolist():
@@ -99,7 +100,7 @@ def switch_off_missing(
             continue
         nearest = nearest_points(beliefs.deformed[mine], problem.points[claimed])[0][:, 0]
         signs = {
-            "support": supported[mine].mean(), "distance": np.log(away[mine].mean() + 0.05),
+            "support": supported[mine].mean(), "gap": np.log(gap[mine].mean() + 0.003),
             "worth": min(float(loss[claimed].mean()), LOSS_CAP),
             "facing": np.abs((normals[mine][nearest] * problem.normals[claimed]).sum(axis=1)).mean(),
             "prevalence": prevalence[part],
