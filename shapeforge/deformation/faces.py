@@ -18,7 +18,7 @@ from shapeforge.collection.points import nearest_points
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.factors import NORMAL_WEIGHT
-from shapeforge.deformation.fit import Candidate, FitState, found_missing, voices
+from shapeforge.deformation.fit import Candidate, FitState, believed_parts, voices
 from shapeforge.deformation.templates import PartTemplates
 from shapeforge.deformation.updates import mapped_normals
 
@@ -113,7 +113,7 @@ def template_probabilities(shape: Shape, explained: Explanations) -> Float[np.nd
         q *= (voice[heard] / q.sum(axis=1))[:, None]
         label = template.label[near]
         mixed[heard] += np.stack([(q * (label == part)).sum(axis=1) for part in range(template.n_parts)], axis=1)
-    mixed[:, found_missing(explained.candidates)] = 0.0
+    mixed *= believed_parts(explained.candidates)
     return mixed / mixed.sum(axis=1, keepdims=True)
 
 

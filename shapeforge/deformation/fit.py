@@ -62,8 +62,9 @@ LOCAL_GAP, LOCAL_TURN = 0.02, 0.15
 """The same around one point of the surface: an exemplar with arms may speak for the arms of a shape that another
 exemplar explains better in all else."""
 
-LENT = 0.3
-"""A part that the best exemplar lacks is another's, if at least this share of what that one says of it is believed."""
+LENT, LENT_ODDS = 0.3, 1.0
+"""A part that the best exemplar does not know is another's, if at least this share of what that one says of it is
+believed, and if the log odds of its existence are at least these."""
 
 COMPACT = ("deformed", "variance", "segmentation")
 """Arrays of the beliefs that a fit holds in single precision, of every shape and exemplar."""
@@ -131,31 +132,41 @@ def voices(candidates: Sequence[Candidate]) -> Float[np.ndarray, "C P"]:
     return worth / worth.sum(axis=0)
 
 
-def found_missing(candidates: Sequence[Candidate]) -> Bool[np.ndarray, " L"]:
-    """Parts (L,) that the best candidate's template knows and that it switched off: nobody else may claim them."""
+def lenders(candidates: Sequence[Candidate]) -> dict[int, int]:
+    """Parts that the best candidate's template does not know, and which candidate brings each: its index.
+
+    A part is lent when it likely exists, and when the shape believes enough of what the lender says of it.  Parts that
+    the best candidate knows and found missing are not lent.
+    """
     best = max(candidates, key=lambda candidate: candidate.weight).beliefs
-    return ~best.active & ~np.isnan(best.misfit)
+    said = [
+        voice @ candidate.beliefs.segmentation for voice, candidate in zip(voices(candidates), candidates, strict=True)
+    ]
+    found = {}
+    for part in np.flatnonzero(~best.active & np.isnan(best.misfit)).tolist():
+        lender = max(range(len(candidates)), key=lambda i: said[i][part])
+        own = candidates[lender].beliefs.segmentation[:, part].sum(dtype=np.float64)
+        doubtful = candidates[lender].beliefs.misfit[part] < LENT_ODDS
+        if said[lender][part] > LENT * own > 0 and not doubtful:
+            found[part] = lender
+    return found
+
+
+def believed_parts(candidates: Sequence[Candidate]) -> Bool[np.ndarray, " L"]:
+    """Parts (L,) that the shape has: those of the best candidate, and those lent to it."""
+    parts = max(candidates, key=lambda candidate: candidate.weight).beliefs.active.copy()
+    parts[list(lenders(candidates))] = True
+    return parts
 
 
 def blend(candidates: Sequence[Candidate]) -> Beliefs:
-    """The best candidate's beliefs, with the segmentations of all candidates of the shape averaged by their voices.
-
-    Parts that the best one's template does not know, and that the average takes from another, are ``lent`` by it;
-    parts that the best one knows and found missing are not.
-    """
+    """The best candidate's beliefs, with the segmentations of all candidates of the shape averaged by their voices."""
     best = max(candidates, key=lambda candidate: candidate.weight).beliefs
-    missing = found_missing(candidates)
     said = np.stack([candidate.beliefs.segmentation.astype(np.float64) for candidate in candidates])
-    said = np.where(missing, 0.0, said) * voices(candidates)[:, :, None]
-    mixed = said.sum(axis=0) + 1e-9 * best.segmentation
-    believed = said.sum(axis=1)
-    lent = []
-    for part in np.flatnonzero(~best.active & ~missing).tolist():
-        lender = int(np.argmax(believed[:, part]))
-        own = candidates[lender].beliefs.segmentation[:, part].sum(dtype=np.float64)
-        if believed[lender, part] > LENT * own > 0:
-            lent.append((part, _unpacked(candidates[lender].beliefs)))
-    return replace(_unpacked(best), segmentation=mixed / mixed.sum(axis=1, keepdims=True), lent=tuple(lent))
+    mixed = (said * voices(candidates)[:, :, None]).sum(axis=0) + 1e-9 * best.segmentation
+    mixed *= believed_parts(candidates)
+    lent = tuple((part, _unpacked(candidates[i].beliefs)) for part, i in lenders(candidates).items())
+    return replace(_unpacked(best), segmentation=mixed / mixed.sum(axis=1, keepdims=True), lent=lent)
 
 
 def fit_templates(
