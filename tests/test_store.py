@@ -116,8 +116,10 @@ def test_records_of_unequal_length_go_through_columns(tmp_path: Path) -> None:
 def test_nested_tuples_of_records_go_through_columns() -> None:
     record = ((beliefs(3, 0), beliefs(2, 1)), (beliefs(4, 2),), ())
     outline, arrays = encode(record)
-    assert len(arrays) == len(dataclasses.fields(Beliefs)) - 1  # ``template`` is a number
+    assert len(arrays) == len(dataclasses.fields(Beliefs)) - 2  # ``template`` is a number, and nothing is ``lent``
     assert same(decode(outline, arrays), record)
+    lending = dataclasses.replace(beliefs(3, 0), lent=((1, beliefs(2, 1)),))
+    assert same(decode(*encode((lending, beliefs(2, 1)))), (lending, beliefs(2, 1)))
 
 
 def test_what_is_no_plain_data_is_refused(tmp_path: Path) -> None:
