@@ -63,8 +63,8 @@ LOCAL_GAP, LOCAL_TURN = 0.02, 0.15
 exemplar explains better in all else."""
 
 LENT, LENT_ODDS = 0.3, 1.0
-"""A part that the best exemplar does not know is another's, if at least this share of what that one says of it is
-believed, and if the log odds of its existence are at least these."""
+"""A part that the best exemplar lacks is another's, if at least this share of what that one says of it is believed, and
+if the log odds of its existence, both opinions together, are at least these (or nobody was asked yet)."""
 
 COMPACT = ("deformed", "variance", "segmentation")
 """Arrays of the beliefs that a fit holds in single precision, of every shape and exemplar."""
@@ -133,21 +133,22 @@ def voices(candidates: Sequence[Candidate]) -> Float[np.ndarray, "C P"]:
 
 
 def lenders(candidates: Sequence[Candidate]) -> dict[int, int]:
-    """Parts that the best candidate's template does not know, and which candidate brings each: its index.
+    """Parts that the best candidate lacks, and which candidate brings each: its index.
 
-    A part is lent when it likely exists, and when the shape believes enough of what the lender says of it.  Parts that
-    the best candidate knows and found missing are not lent.
+    A part is lent when the shape believes enough of what the lender says of it, and when it likely exists by the
+    opinions of both: one whose template does not know the part has none, one that switched it off speaks against it.
     """
     best = max(candidates, key=lambda candidate: candidate.weight).beliefs
     said = [
         voice @ candidate.beliefs.segmentation for voice, candidate in zip(voices(candidates), candidates, strict=True)
     ]
     found = {}
-    for part in np.flatnonzero(~best.active & np.isnan(best.misfit)).tolist():
+    for part in np.flatnonzero(~best.active).tolist():
         lender = max(range(len(candidates)), key=lambda i: said[i][part])
-        own = candidates[lender].beliefs.segmentation[:, part].sum(dtype=np.float64)
-        doubtful = candidates[lender].beliefs.misfit[part] < LENT_ODDS
-        if said[lender][part] > LENT * own > 0 and not doubtful:
+        theirs = candidates[lender].beliefs
+        own = theirs.segmentation[:, part].sum(dtype=np.float64)
+        odds = theirs.misfit[part] + (0.0 if np.isnan(best.misfit[part]) else best.misfit[part])
+        if theirs.active[part] and said[lender][part] > LENT * own and not odds < LENT_ODDS:
             found[part] = lender
     return found
 

@@ -113,3 +113,12 @@ def test_a_part_that_the_best_exemplar_found_missing_is_not_lent(explained_twice
     assert mixed.lent == ()
     assert (mixed.segmentation[:, 3] < 1e-6).all()
     np.testing.assert_allclose(mixed.segmentation.sum(axis=1), 1)
+
+
+def test_one_that_doubts_a_part_a_little_is_overruled_by_one_that_is_sure(explained_twice):
+    _, best, other = explained_twice
+    doubting = replace(best, beliefs=replace(best.beliefs, misfit=np.array([2.0, 2.0, 2.0, -2.5])))
+    assert blend((doubting, other)).lent == ()
+    sure = replace(other, beliefs=replace(other.beliefs, misfit=np.array([2.0, 2.0, 2.0, 4.0])))
+    mixed = blend((doubting, sure))
+    assert [part for part, _ in mixed.lent] == [3] and (mixed.segmentation[80:].argmax(axis=1) == 3).all()
