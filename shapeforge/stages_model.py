@@ -91,8 +91,8 @@ def starting_groups(project: Project) -> Any:
 
 def write_shapes(task: Task, folder: Path, state: Any, hierarchy: Any) -> Iterator[Progress]:
     """Faces and corresponding points of every shape, one file each; those of an interrupted run are kept."""
+    from shapeforge.deformation.exemplars import blend
     from shapeforge.deformation.faces import explanations, label_faces
-    from shapeforge.deformation.fit import blend
     from shapeforge.deformation.hierarchy import corresponding_points
 
     project, names = task.project, task.project.names
@@ -201,7 +201,8 @@ def _epoch_text(state: Any) -> str:
 
 def refine(task: Task) -> Iterator[Progress]:
     """Joint analysis and synthesis: the machine is a prior on the fit, the refined fit teaches the machine, 3 times."""
-    from shapeforge.deformation.fit import blend, fit_templates
+    from shapeforge.deformation.exemplars import blend
+    from shapeforge.deformation.fit import fit_templates
     from shapeforge.deformation.hierarchy import corresponding_points
 
     project, folder = task.project, task.folder

@@ -184,8 +184,8 @@ def apply_one(name: str, path: Path, options: dict[str, Any], state: Any, hierar
     from shapeforge.collection.meshes import read_mesh
     from shapeforge.collection.prepare import prepare_shape
     from shapeforge.deformation.apply import fit_candidates
+    from shapeforge.deformation.exemplars import blend
     from shapeforge.deformation.faces import Explanations, label_faces
-    from shapeforge.deformation.fit import blend
     from shapeforge.deformation.hierarchy import corresponding_points
 
     sha256 = hashlib.sha256(path.read_bytes()).hexdigest()

@@ -32,7 +32,7 @@ RECORD_CLASSES: dict[str, str] = {
     "Beliefs": "shapeforge.deformation.beliefs",
     "Covariances": "shapeforge.deformation.factors",
     "FitState": "shapeforge.deformation.fit",
-    "Candidate": "shapeforge.deformation.fit",
+    "Candidate": "shapeforge.deformation.exemplars",
     "Proposal": "shapeforge.deformation.boxes",
     "Link": "shapeforge.deformation.hierarchy",
     "Hierarchy": "shapeforge.deformation.hierarchy",

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from shapeforge.collection.shape import Shape
+from shapeforge.deformation.exemplars import Candidate
 from shapeforge.deformation.factors import FLOORS, Covariances
-from shapeforge.deformation.fit import ANNEALING, EXEMPLARS_PER_SHAPE, Candidate, _start, _work_on_shape
+from shapeforge.deformation.fit import ANNEALING, EXEMPLARS_PER_SHAPE, _start, _work_on_shape
 from shapeforge.deformation.templates import PartTemplates
 
 
@@ -26,7 +27,7 @@ def fit_candidates(
 ) -> tuple[Candidate, ...]:
     """What exemplars say of a new shape under fixed templates and covariances, annealed as in the family's own fit.
 
-    ``fit.blend`` makes one of them.  ``annealed_from`` is the fit's first σ1 (diagonals); ``faces`` are part labels
+    ``blend`` makes one of them.  ``annealed_from`` is the fit's first σ1 (diagonals); ``faces`` are part labels
     painted on this shape, if any.
     """
     templates = tuple(templates)

@@ -17,8 +17,9 @@ from shapeforge.collection.facecut import cut_faces
 from shapeforge.collection.points import nearest_points
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation.beliefs import Beliefs
+from shapeforge.deformation.exemplars import Candidate, believed_parts, voices
 from shapeforge.deformation.factors import NORMAL_WEIGHT
-from shapeforge.deformation.fit import Candidate, FitState, believed_parts, voices
+from shapeforge.deformation.fit import FitState
 from shapeforge.deformation.templates import PartTemplates
 from shapeforge.deformation.updates import mapped_normals
 

@@ -14,15 +14,15 @@ from dataclasses import dataclass, replace
 from itertools import repeat
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from shapeforge.collection.align import affine_align, thinned
+from shapeforge.collection.align import affine_align
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.parallel import in_order, kept, shared
-from shapeforge.collection.points import nearest_points
 from shapeforge.collection.shape import Shape, Shapes
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.energy import free_energy
+from shapeforge.deformation.exemplars import Candidate, blend, compact, unpacked, weigh
 from shapeforge.deformation.existence import part_prevalence, switch_off_missing
 from shapeforge.deformation.factors import FLOORS, Covariances, attraction, floored, initial_covariances
 from shapeforge.deformation.pose import posed_starts
@@ -36,7 +36,6 @@ from shapeforge.deformation.updates import (
     candidates_without,
     find_candidates,
     make_problem,
-    mapped_normals,
     summarize,
     update_correspondences,
     update_deformations,
@@ -54,21 +53,6 @@ SETTLED = 5e-4
 EXEMPLARS_PER_SHAPE = 3
 """Exemplars tried on every shape: its own group's and the next best by affine residual."""
 
-GAP_SCALE, TURN_SCALE = 0.004, 0.12
-"""Gap (diagonals) between a deformed template and the surface, and 1 - |cos| between their normals, both in the mean
-over the shape, that cost an exemplar one nat against the others."""
-
-LOCAL_GAP, LOCAL_TURN = 0.02, 0.15
-"""The same around one point of the surface: an exemplar with arms may speak for the arms of a shape that another
-exemplar explains better in all else."""
-
-LENT, LENT_ODDS = 0.3, 1.0
-"""A part that the best exemplar lacks is another's, if at least this share of what that one says of it is believed, and
-if the log odds of its existence, both opinions together, are at least these (or nobody was asked yet)."""
-
-COMPACT = ("deformed", "variance", "segmentation")
-"""Arrays of the beliefs that a fit holds in single precision, of every shape and exemplar."""
-
 
 class FitDiverged(RuntimeError):
     """Numbers stopped being finite; ``state`` is the last good one."""
@@ -76,20 +60,6 @@ class FitDiverged(RuntimeError):
     def __init__(self, message: str, state: FitState) -> None:
         super().__init__(message)
         self.state = state
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """One exemplar's templates on one shape: the beliefs, and the weight this explanation has among the shape's.
-
-    ``misfit`` (nats) is what the weight follows from: the gap between the deformed template and the surface, and how
-    far their normals differ; ``local`` (P,) the same around each point of the surface.
-    """
-
-    beliefs: Beliefs
-    weight: float
-    misfit: float
-    local: Float[np.ndarray, " P"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,54 +90,6 @@ class FitState:
     def sigmas(self) -> dict[str, np.ndarray]:
         """Standard deviations of the factors, for curves."""
         return self.covariances.sigmas()
-
-
-def voices(candidates: Sequence[Candidate]) -> Float[np.ndarray, "C P"]:
-    """What each candidate's word is worth at every point of the surface (C, P); sums to 1 over the candidates.
-
-    It falls with the misfit of the whole and with that around the point.
-    """
-    against = np.stack([candidate.misfit + candidate.local.astype(np.float64) for candidate in candidates])
-    worth = np.exp(against.min(axis=0) - against)
-    return worth / worth.sum(axis=0)
-
-
-def lenders(candidates: Sequence[Candidate]) -> dict[int, int]:
-    """Parts that the best candidate lacks, and which candidate brings each: its index.
-
-    A part is lent when the shape believes enough of what the lender says of it, and when it likely exists by the
-    opinions of both: one whose template does not know the part has none, one that switched it off speaks against it.
-    """
-    best = max(candidates, key=lambda candidate: candidate.weight).beliefs
-    said = [
-        voice @ candidate.beliefs.segmentation for voice, candidate in zip(voices(candidates), candidates, strict=True)
-    ]
-    found = {}
-    for part in np.flatnonzero(~best.active).tolist():
-        lender = max(range(len(candidates)), key=lambda i: said[i][part])
-        theirs = candidates[lender].beliefs
-        own = theirs.segmentation[:, part].sum(dtype=np.float64)
-        odds = theirs.misfit[part] + (0.0 if np.isnan(best.misfit[part]) else best.misfit[part])
-        if theirs.active[part] and said[lender][part] > LENT * own and not odds < LENT_ODDS:
-            found[part] = lender
-    return found
-
-
-def believed_parts(candidates: Sequence[Candidate]) -> Bool[np.ndarray, " L"]:
-    """Parts (L,) that the shape has: those of the best candidate, and those lent to it."""
-    parts = max(candidates, key=lambda candidate: candidate.weight).beliefs.active.copy()
-    parts[list(lenders(candidates))] = True
-    return parts
-
-
-def blend(candidates: Sequence[Candidate]) -> Beliefs:
-    """The best candidate's beliefs, with the segmentations of all candidates of the shape averaged by their voices."""
-    best = max(candidates, key=lambda candidate: candidate.weight).beliefs
-    said = np.stack([candidate.beliefs.segmentation.astype(np.float64) for candidate in candidates])
-    mixed = (said * voices(candidates)[:, :, None]).sum(axis=0) + 1e-9 * best.segmentation
-    mixed *= believed_parts(candidates)
-    lent = tuple((part, _unpacked(candidates[i].beliefs)) for part, i in lenders(candidates).items())
-    return replace(_unpacked(best), segmentation=mixed / mixed.sum(axis=1, keepdims=True), lent=lent)
 
 
 def fit_templates(
@@ -295,7 +217,7 @@ def _work_on_shape(
     pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)
     done, sums, moves = [], [], []
     for candidate in candidates:
-        before, g = _unpacked(candidate.beliefs), candidate.beliefs.template
+        before, g = unpacked(candidate.beliefs), candidate.beliefs.template
         prior = priors.get(g) if priors is not None else None
         if prior is not None:
             prior = before.from_family(*prior)
@@ -311,24 +233,11 @@ def _work_on_shape(
         done.append(beliefs)
         sums.append(summary)
     weighed = weigh(problem, templates, done)
-    return tuple(map(_compact, weighed)), tuple(sums), moves[_best(weighed)]
+    return tuple(map(compact, weighed)), tuple(sums), moves[_best(weighed)]
 
 
 def _best(candidates: Sequence[Candidate]) -> int:
     return max(range(len(candidates)), key=lambda i: candidates[i].weight)
-
-
-def _compact(candidate: Candidate) -> Candidate:
-    """In single precision, which is plenty between rounds: the candidates of all shapes are what a fit holds."""
-    arrays = {name: getattr(candidate.beliefs, name).astype(np.float32) for name in COMPACT}
-    return replace(candidate, beliefs=replace(candidate.beliefs, **arrays))
-
-
-def _unpacked(beliefs: Beliefs) -> Beliefs:
-    """In double precision, for the updates; probabilities sum to one again."""
-    arrays = {name: getattr(beliefs, name).astype(np.float64) for name in COMPACT}
-    arrays["segmentation"] /= arrays["segmentation"].sum(axis=1, keepdims=True)
-    return replace(beliefs, **arrays)
 
 
 def fit_shape(
@@ -371,32 +280,6 @@ def fit_shape(
     return update_maps(templates, correspondence, beliefs), summary
 
 
-def weigh(problem: Problem, templates: Sequence[PartTemplates], beliefs: Sequence[Beliefs]) -> tuple[Candidate, ...]:
-    """Weigh the exemplars' explanations of a shape by how well each *deformed* template explains it.
-
-    By the gap between template and surface, both ways, and by whether the surfaces that were brought together face the
-    same way; over the whole shape and around every point.
-    """
-    misfits, locals_ = [], []
-    for belief in beliefs:
-        template = templates[belief.template]
-        alive = np.flatnonzero(belief.active[template.label])
-        nearest, distance = (found[:, 0] for found in nearest_points(belief.deformed[alive], problem.points))
-        back = nearest_points(problem.points, thinned(belief.deformed[alive], 1500))[1]
-        turn = 1.0 - np.abs((mapped_normals(template, belief)[alive[nearest]] * problem.normals).sum(axis=1))
-        misfits.append(float((distance.mean() + back.mean()) / GAP_SCALE + turn.mean() / TURN_SCALE))
-        locals_.append(_around(problem, distance / LOCAL_GAP + turn / LOCAL_TURN).astype(np.float32))
-    weights = [float(np.exp(min(misfits) - misfit)) for misfit in misfits]
-    return tuple(Candidate(*one) for one in zip(beliefs, weights, misfits, locals_, strict=True))
-
-
-def _around(problem: Problem, value: Float[np.ndarray, " P"]) -> Float[np.ndarray, " P"]:
-    """Mean of a value over every point and its neighbours within the patch."""
-    count = np.diff(problem.offsets)
-    row = np.repeat(np.arange(len(value)), count)
-    return (value + np.bincount(row, value[problem.neighbour], len(value))) / (count + 1)
-
-
 def affine_beliefs(
     shape: Shape, problem: Problem, templates: PartTemplates, index: int, alignment, seed: np.ndarray | None = None
 ) -> Beliefs:
@@ -434,13 +317,13 @@ def _start(shape, faces, templates, own, how_many, seed) -> tuple[Candidate, ...
     beliefs = [affine_beliefs(shape, problem, templates[g], g, alignments[g], seed) for g in order]
     turned = posed_starts(shape.points, [template.points for template in templates], alignments)
     if not turned:
-        return tuple(map(_compact, weigh(problem, templates, beliefs)))
+        return tuple(map(compact, weigh(problem, templates, beliefs)))
     for start in turned:
         found = affine_beliefs(shape, problem, templates[start.template], start.template, start.alignment, seed)
         beliefs.append(replace(found, pose=start.pose))
     candidates = weigh(problem, templates, beliefs)
     kept = sorted(candidates, key=lambda candidate: -candidate.weight)[: max(how_many, 2)]
-    return tuple(_compact(candidate) for candidate in candidates if candidate in kept)
+    return tuple(compact(candidate) for candidate in candidates if candidate in kept)
 
 
 def _exemplar_templates(shapes, groups, labels, part_names, seeds) -> Iterator[PartTemplates]:

@@ -69,7 +69,7 @@ def best_beliefs(state: Any, index: int) -> Any:
 def all_beliefs(state: Any, index: int) -> Any:
     """The beliefs about shape ``index`` with the label probabilities of all explanations tried."""
     if hasattr(state, "candidates"):
-        from shapeforge.deformation.fit import blend
+        from shapeforge.deformation.exemplars import blend
 
         return blend(state.candidates[index])
     return state.beliefs[index]

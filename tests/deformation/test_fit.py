@@ -15,8 +15,9 @@ from shapeforge.collection.families import generate
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.prepare import prepare_shape
 from shapeforge.deformation.apply import fit_candidates
+from shapeforge.deformation.exemplars import blend
 from shapeforge.deformation.faces import explanations, face_probabilities, label_faces, template_probabilities
-from shapeforge.deformation.fit import FitDiverged, blend, fit_templates
+from shapeforge.deformation.fit import FitDiverged, fit_templates
 from shapeforge.deformation.hierarchy import corresponding_points, link_templates
 
 N_POINTS = 700

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from shapeforge.deformation.beliefs import Beliefs
-from shapeforge.deformation.fit import Candidate, blend
+from shapeforge.deformation.exemplars import Candidate, blend
 from shapeforge.deformation.hierarchy import deformed_family, link_templates
 from shapeforge.deformation.templates import PartTemplates, template_from_points
 
