@@ -68,6 +68,7 @@ EXEMPLARS = 3
 PEER_POINTS = 1000
 RADII, LARGEST_RADIUS = (0.02, 0.05, 0.10), 0.25
 MEASURES = ("faces", "area", "part IoU", "corr@.02", "corr@.05", "corr@.10", "AUC", "ex@.05", "CPU s")
+COMPARED = ("part IoU", "corr@.05", "AUC", "ex@.05")  # in the table of differences
 
 
 # -- the ablations ---------------------------------------------------------------------------------------------------
@@ -381,9 +382,18 @@ def run(sets: list[str], methods: list[str], seeds: int, count: int, n_points: i
     return results
 
 
-def cell(values: list[float]) -> str:
+def cell(values: list[float] | np.ndarray, form: str = ".3f") -> str:
     """Mean ± standard deviation over the seeds."""
-    return f"{np.mean(values):.3f}" + (f" ± {np.std(values, ddof=1):.3f}" if len(values) > 1 else "")
+    return f"{np.mean(values):{form}}" + (f" ± {np.std(values, ddof=1):.3f}" if len(values) > 1 else "")
+
+
+def differences(found: dict[str, dict[str, list[float]]]) -> list[list[str]]:
+    """Rows of ours minus every other method: what the draw of a seed does to both alike falls out."""
+    others = [method for method in found if method != "ours"]
+    return [
+        [METHODS[m], *(cell(np.subtract(found["ours"][what], found[m][what]), "+.3f") for what in COMPARED)]
+        for m in others
+    ]
 
 
 def main() -> None:
@@ -412,10 +422,8 @@ def main() -> None:
             print(f"\n{title}{EXEMPLARS} exemplars that cover the parts, not scored")
             rows = [[METHODS[m], *(cell(values) for values in one.values())] for m, one in found.items()]
             print(format_table(["", *MEASURES], rows))
-            for measure in ("part IoU", "corr@.05") if "ours" in found else ():
-                ours = np.mean(found["ours"][measure])
-                better = [METHODS[m] for m, one in found.items() if np.mean(one[measure]) > ours]
-                print(f"ahead of ours in {measure}: {', '.join(better) or 'none'}")
+            if "ours" in found and len(found) > 1:
+                print(format_table(["ours minus, seed by seed", *COMPARED], differences(found)))
     about = {"points": options.points, "shapes": options.shapes, "seeds": options.seeds, "left_out": skipped}
     print(json.dumps(about | {"sets": results}))
 
