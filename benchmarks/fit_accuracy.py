@@ -50,7 +50,7 @@ from shapeforge.collection.prepare import prepare_shape
 from shapeforge.collection.shape import Shape
 from shapeforge.collection.surface import closest_points
 from shapeforge.deformation.beliefs import Beliefs
-from shapeforge.deformation.faces import label_faces
+from shapeforge.deformation.faces import explanations, label_faces
 from shapeforge.deformation.factors import Covariances, floored, initial_covariances
 from shapeforge.deformation.fit import FitDiverged, fit_templates
 from shapeforge.deformation.hierarchy import corresponding_points, link_templates
@@ -255,7 +255,7 @@ def fitted(family: Family, method: str) -> Answer:
     for t in family.tested:
         e = family.exemplars[nearest_exemplar(shapes[t], [shapes[e] for e in family.exemplars])[0]]
         pairs[t] = e, places[e], places[t]
-    faces = {t: label_faces(shapes[t], beliefs[t])[0] for t in family.tested}
+    faces = {t: label_faces(shapes[t], beliefs[t], explained=explanations(state, t))[0] for t in family.tested}
     return Answer(faces, {t: places[t] for t in family.tested}, pairs)
 
 

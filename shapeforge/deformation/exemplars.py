@@ -14,15 +14,15 @@ from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.templates import PartTemplates
 from shapeforge.deformation.updates import Problem, mapped_normals
 
-GAP_SCALE, TURN_SCALE = 0.004, 0.12
+GAP_SCALE, TURN_SCALE = 0.006, 0.2
 """Gap (diagonals) between a deformed template and the surface, and 1 - |cos| between their normals, both in the mean
 over the shape, that cost an exemplar one nat against the others."""
 
-LOCAL_GAP, LOCAL_TURN = 0.02, 0.15
+LOCAL_GAP, LOCAL_TURN = 0.007, 0.15
 """The same around one point of the surface: an exemplar with arms may speak for the arms of a shape that another
 exemplar explains better in all else."""
 
-LENT, LENT_ODDS = 0.3, 1.0
+LENT, LENT_ODDS = 0.1, 1.0
 """A part that the best exemplar lacks is another's, if at least this share of what that one says of it is believed, and
 if the log odds of its existence, both opinions together, are at least these (or nobody was asked yet)."""
 
