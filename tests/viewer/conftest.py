@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -75,6 +76,8 @@ def fitted(_fitted: Path, tmp_path: Path) -> Project:
 @pytest.fixture
 def open_window(qtbot) -> Iterator[Callable]:
     """``open_window(project)`` shows the real window, 1440 x 900; it is closed, and its thread ended, afterwards."""
+    from PySide6.QtCore import QCoreApplication, QEvent
+
     from shapeforge.viewer.qt.window import Window
 
     opened = []
@@ -97,3 +100,7 @@ def open_window(qtbot) -> Iterator[Callable]:
         window.close()
         assert not window.runner.running, "a closed window leaves no thread"
         window.deleteLater()
+    opened.clear()
+    # what a test's windows leave dies with the test, on this thread, and not in the event loop of the next one
+    QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)
+    gc.collect()
