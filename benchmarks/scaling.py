@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import pickle
 import resource
 import subprocess
 import sys
@@ -31,6 +30,7 @@ from shapeforge.collection.iterate import last
 from shapeforge.collection.prepare import prepare_shape
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation.fit import FitState, fit_templates
+from shapeforge.store_arrays import read_record, write_record
 from shapeforge.validation.statistics import format_table
 
 SPECIMENS, EXEMPLARS = 12, 3
@@ -40,16 +40,14 @@ class Turns:
     """``count`` shapes that are the specimens of a folder in turns; none is held."""
 
     def __init__(self, folder: Path, count: int) -> None:
-        self.files = [folder / f"{i}.pickle" for i in range(SPECIMENS)]
+        self.files = [folder / f"{i}.zarr.zip" for i in range(SPECIMENS)]
         self.names = tuple(f"shape_{t:05d}" for t in range(count))
 
     def __len__(self) -> int:
         return len(self.names)
 
     def __getitem__(self, index: int) -> Shape:
-        # written by this very program a moment ago
-        shape = pickle.loads(self.files[index % SPECIMENS].read_bytes())  # noqa: S301
-        return replace(shape, name=self.names[index])
+        return replace(read_record(self.files[index % SPECIMENS])[0], name=self.names[index])
 
     def __iter__(self) -> Iterator[Shape]:
         return (self[t] for t in range(len(self)))
@@ -60,9 +58,9 @@ def write_specimens(folder: Path, n_points: int, seed: int) -> None:
     made = generate("chairs", SPECIMENS, seed=seed, broken=0.0)
     for i, one in enumerate(made):
         shape = prepare_shape(one.name, one.mesh, n_points=n_points, up="keep", rng=np.random.default_rng(i))
-        (folder / f"{i}.pickle").write_bytes(pickle.dumps(shape))
-    labels = {i: np.asarray(made[i].faces, np.int32) for i in range(EXEMPLARS)}
-    (folder / "labels.pickle").write_bytes(pickle.dumps((labels, made[0].part_names)))
+        write_record(folder / f"{i}.zarr.zip", shape)
+    labels = [np.asarray(made[i].faces, np.int32) for i in range(EXEMPLARS)]
+    write_record(folder / "labels.zarr.zip", {"labels": labels, "names": made[0].part_names})
 
 
 def held(state: FitState) -> int:
@@ -75,7 +73,8 @@ def held(state: FitState) -> int:
 
 def one_fit(folder: Path, count: int, rounds: int) -> dict:
     """A fit of ``count`` shapes in this process: CPU-seconds, peak memory before and after, bytes returned."""
-    labels, names = pickle.loads((folder / "labels.pickle").read_bytes())  # noqa: S301
+    given = read_record(folder / "labels.zarr.zip")[0]
+    labels, names = dict(enumerate(given["labels"])), tuple(given["names"])
     group = np.where(np.arange(count) < EXEMPLARS, np.arange(count), 0)
     called = tuple(f"Group {g + 1}" for g in range(EXEMPLARS))
 
