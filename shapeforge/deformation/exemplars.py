@@ -113,8 +113,11 @@ def blend(candidates: Sequence[Candidate]) -> Beliefs:
     best = max(candidates, key=lambda candidate: candidate.weight).beliefs
     said = np.stack([candidate.beliefs.segmentation.astype(np.float64) for candidate in candidates])
     mixed = (said * voices(candidates)[:, :, None]).sum(axis=0) + 1e-9 * best.segmentation
-    mixed *= believed_parts(candidates)
-    lent = tuple((part, unpacked(candidates[i].beliefs)) for part, i in lenders(candidates).items())
+    brought = lenders(candidates)
+    parts = best.active.copy()
+    parts[list(brought)] = True
+    mixed *= parts
+    lent = tuple((part, unpacked(candidates[i].beliefs)) for part, i in brought.items())
     return replace(unpacked(best), segmentation=mixed / mixed.sum(axis=1, keepdims=True), lent=lent)
 
 
