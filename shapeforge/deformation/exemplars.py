@@ -35,32 +35,49 @@ class Candidate:
     """One exemplar's templates on one shape: the beliefs, and the weight this explanation has among the shape's.
 
     ``misfit`` (nats) is what the weight follows from: the gap between the deformed template and the surface, and how
-    far their normals differ; ``local`` (P,) the same around each point of the surface.
+    far their normals differ; ``local`` (P,) the same around each point of the surface.  ``family`` tells that the
+    templates are not an exemplar's but those of the whole family.
     """
 
     beliefs: Beliefs
     weight: float
     misfit: float
     local: Float[np.ndarray, " P"]
+    family: bool = False
 
 
-def weigh(problem: Problem, templates: Sequence[PartTemplates], beliefs: Sequence[Beliefs]) -> tuple[Candidate, ...]:
+def weigh(
+    problem: Problem, templates: Sequence[PartTemplates], beliefs: Sequence[Beliefs], *, family: bool = False
+) -> tuple[Candidate, ...]:
     """Weigh the exemplars' explanations of a shape by how well each *deformed* template explains it.
 
     By the gap between template and surface, both ways, and by whether the surfaces that were brought together face the
     same way; over the whole shape and around every point.
     """
-    misfits, locals_ = [], []
+    found = []
     for belief in beliefs:
         template = templates[belief.template]
         alive = np.flatnonzero(belief.active[template.label])
-        nearest, distance = (found[:, 0] for found in nearest_points(belief.deformed[alive], problem.points))
+        nearest, distance = (one[:, 0] for one in nearest_points(belief.deformed[alive], problem.points))
         back = nearest_points(problem.points, thinned(belief.deformed[alive], 1500))[1]
         turn = 1.0 - np.abs((mapped_normals(template, belief)[alive[nearest]] * problem.normals).sum(axis=1))
-        misfits.append(float((distance.mean() + back.mean()) / GAP_SCALE + turn.mean() / TURN_SCALE))
-        locals_.append(_around(problem, distance / LOCAL_GAP + turn / LOCAL_TURN).astype(np.float32))
-    weights = [float(np.exp(min(misfits) - misfit)) for misfit in misfits]
-    return tuple(Candidate(*one) for one in zip(beliefs, weights, misfits, locals_, strict=True))
+        misfit = float((distance.mean() + back.mean()) / GAP_SCALE + turn.mean() / TURN_SCALE)
+        local = _around(problem, distance / LOCAL_GAP + turn / LOCAL_TURN).astype(np.float32)
+        found.append(Candidate(belief, 1.0, misfit, local, family))
+    return weighted(found)
+
+
+def weighted(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """The candidates with weights that follow from their misfits; the best one's is 1."""
+    least = min(candidate.misfit for candidate in candidates)
+    return tuple(replace(candidate, weight=float(np.exp(least - candidate.misfit))) for candidate in candidates)
+
+
+def leading(candidates: Sequence[Candidate]) -> Candidate:
+    """The candidate that tells where the corresponding points are: the best of the family's own templates, which have
+    the same points on every shape, and of the exemplars' before there are any.
+    """
+    return max(candidates, key=lambda candidate: (candidate.family, candidate.weight))
 
 
 def _around(problem: Problem, value: Float[np.ndarray, " P"]) -> Float[np.ndarray, " P"]:
@@ -80,13 +97,18 @@ def voices(candidates: Sequence[Candidate]) -> Float[np.ndarray, "C P"]:
     return worth / worth.sum(axis=0)
 
 
+def best_of(candidates: Sequence[Candidate]) -> Candidate:
+    """The candidate that explains the shape best."""
+    return max(candidates, key=lambda candidate: candidate.weight)
+
+
 def lenders(candidates: Sequence[Candidate]) -> dict[int, int]:
     """Parts that the best candidate lacks, and which candidate brings each: its index.
 
     A part is lent when the shape believes enough of what the lender says of it, and when it likely exists by the
     opinions of both: one whose template does not know the part has none, one that switched it off speaks against it.
     """
-    best = max(candidates, key=lambda candidate: candidate.weight).beliefs
+    best = best_of(candidates).beliefs
     said = [
         voice @ candidate.beliefs.segmentation for voice, candidate in zip(voices(candidates), candidates, strict=True)
     ]
@@ -103,22 +125,28 @@ def lenders(candidates: Sequence[Candidate]) -> dict[int, int]:
 
 def believed_parts(candidates: Sequence[Candidate]) -> Bool[np.ndarray, " L"]:
     """Parts (L,) that the shape has: those of the best candidate, and those lent to it."""
-    parts = max(candidates, key=lambda candidate: candidate.weight).beliefs.active.copy()
+    parts = best_of(candidates).beliefs.active.copy()
     parts[list(lenders(candidates))] = True
     return parts
 
 
 def blend(candidates: Sequence[Candidate]) -> Beliefs:
-    """The best candidate's beliefs, with the segmentations of all candidates of the shape averaged by their voices."""
-    best = max(candidates, key=lambda candidate: candidate.weight).beliefs
+    """The leading candidate's beliefs with what all candidates say: the segmentations averaged by their voices, and the
+    parts that are believed in, of which those that the leading one lacks are lent by the others."""
+    own = leading(candidates).beliefs
     said = np.stack([candidate.beliefs.segmentation.astype(np.float64) for candidate in candidates])
-    mixed = (said * voices(candidates)[:, :, None]).sum(axis=0) + 1e-9 * best.segmentation
     brought = lenders(candidates)
-    parts = best.active.copy()
-    parts[list(brought)] = True
+    parts = believed_parts(candidates)
+    mixed = (said * voices(candidates)[:, :, None]).sum(axis=0) + 1e-9
     mixed *= parts
-    lent = tuple((part, unpacked(candidates[i].beliefs)) for part, i in brought.items())
-    return replace(unpacked(best), segmentation=mixed / mixed.sum(axis=1, keepdims=True), lent=lent)
+    best = best_of(candidates).beliefs
+    lent = tuple(
+        (part, unpacked(candidates[brought[part]].beliefs if part in brought else best))
+        for part in np.flatnonzero(parts & ~own.active).tolist()
+    )
+    return replace(
+        unpacked(own), segmentation=mixed / mixed.sum(axis=1, keepdims=True), active=own.active & parts, lent=lent
+    )
 
 
 def compact(candidate: Candidate) -> Candidate:

@@ -7,7 +7,7 @@ one group alone has moves up unchanged.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +32,9 @@ STARTS_PER_PART = 3
 """Groups whose template is tried as the start of a label."""
 
 ROUNDS = 8
+
+HUBS = 3
+"""Groups that are tried as the one that gives the family all the parts it has."""
 
 LEAST_POINTS = 12
 """Points of a part on both sides from which its own affine start is found: what the labels tell, the start may use."""
@@ -60,6 +63,17 @@ def link_templates(templates: Sequence[PartTemplates], shapes: Sequence[int] | N
     ``shapes[g]`` is the number of shapes that template set g explains: among starts, one that needs no link for many
     shapes is worth more.  Raises ValueError when there are none or their part names differ.
     """
+    return family_templates(templates, shapes, hubs=0)[0]
+
+
+def family_templates(
+    templates: Sequence[PartTemplates], shapes: Sequence[int] | None = None, *, hubs: int = HUBS
+) -> list[Hierarchy]:
+    """The ways to link the groups' templates that are worth a try: first that of ``link_templates``.
+
+    In the others one of the ``hubs`` groups that explain most shapes gives all the parts that it has: parts taken from
+    different groups may not go together.  Arguments and errors as of ``link_templates``.
+    """
     if not templates:
         raise ValueError("templates: wanted at least one set, got none; fit the family first")
     if any(template.part_names != templates[0].part_names for template in templates):
@@ -68,14 +82,23 @@ def link_templates(templates: Sequence[PartTemplates], shapes: Sequence[int] | N
     has = np.array([template.has_part() for template in templates])
     size = np.asarray([1] * number if shapes is None else shapes, np.float64)
     sources = [_starts(templates, has, size, part) for part in range(n_parts)]
-    wanted = sorted({a for tried in sources for a in tried})
     fits: dict[tuple[int, int], np.ndarray] = {}
-    for a in wanted:
-        for b in range(number):
-            if a != b and (has[a] & has[b]).any():
-                fits[a, b] = register(templates[a], templates[b])
-    chosen = [_best_start(part, tried, templates, has, size, fits) for part, tried in enumerate(sources)]
-    return _assemble(templates, has, chosen, fits)
+
+    def need(wanted: Iterable[int]) -> None:
+        for a in sorted(set(wanted)):
+            for b in range(number):
+                if a != b and (a, b) not in fits and (has[a] & has[b]).any():
+                    fits[a, b] = register(templates[a], templates[b])
+
+    need(a for tried in sources for a in tried)
+    best = [_best_start(part, tried, templates, has, size, fits) for part, tried in enumerate(sources)]
+    choices = [best]
+    for hub in sorted(range(number), key=lambda g: (-size[g], -has[g].sum(), g))[:hubs]:
+        choice = [hub if has[hub, part] else best[part] for part in range(n_parts)]
+        if choice not in choices:
+            need([hub])
+            choices.append(choice)
+    return [_assemble(templates, has, chosen, fits) for chosen in choices]
 
 
 def register(source: PartTemplates, target: PartTemplates) -> Float[np.ndarray, "K 3"]:
@@ -139,14 +162,6 @@ def _gap(a: np.ndarray, b: np.ndarray) -> float:
     return float(cKDTree(a).query(b)[0].mean() + cKDTree(b).query(a)[0].mean())
 
 
-def _one_round(problem, source, graph, beliefs: Beliefs, covariances: Covariances) -> Beliefs:
-    candidates = find_candidates(problem, source, beliefs, covariances.descriptor)
-    for _ in range(3):
-        correspondence = update_correspondences(problem, source, candidates, beliefs, covariances.unary)
-        beliefs = update_deformations(source, graph, correspondence, beliefs, covariances)
-    return update_maps(source, correspondence, beliefs)
-
-
 def _starts(templates: Sequence[PartTemplates], has: np.ndarray, size: np.ndarray, part: int) -> list[int]:
     """Groups to try as the start of a part: those that explain most shapes, then with the most points of this part."""
     owners = [g for g in range(len(templates)) if has[g, part]]
@@ -189,7 +204,7 @@ def _assemble(templates, has, chosen, fits) -> Hierarchy:
     )
     label = gathered("label")
     top = template_from_points(
-        points, gathered("normals"), gathered("descriptors"), label, templates[0].part_names, "family"
+        points, gathered("normals"), gathered("descriptors"), label, templates[0].part_names
     )
     links = []
     for b, template in enumerate(templates):

@@ -219,7 +219,7 @@ def update_maps(templates: PartTemplates, correspondence: Correspondence, belief
         second = np.einsum("n,ni,nj->ij", weight, yc, yc)
         ridge = MAP_RIDGE * np.trace(second) / 3 * np.eye(3)
         cross = np.einsum("n,ni,nj->ij", weight, xc, yc)
-        maps[part] = (cross + maps[part] @ ridge) @ np.linalg.inv(second + ridge)
+        maps[part] = (cross + maps[part] @ ridge) @ np.linalg.inv(second + ridge + 1e-9 * np.eye(3))
         offsets[part] = x_mean - maps[part] @ y_mean
     return replace(beliefs, maps=maps, offsets=offsets)
 

@@ -1,0 +1,170 @@
+"""The top of the hierarchy on the shapes themselves: one set of templates for the whole family, fitted to every shape.
+
+The groups' templates, once linked, give every part to the family from whichever exemplar has it.  Fitted to the shapes
+directly, they explain shapes whose parts no single exemplar has together (the arms of one, the legs of another), and
+their points are the same on every shape: no correspondence goes over two templates and the link between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+from itertools import repeat
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from shapeforge.collection.align import Alignment, affine_align
+from shapeforge.collection.parallel import in_order, shared
+from shapeforge.collection.shape import Shape
+from shapeforge.deformation.beliefs import Beliefs
+from shapeforge.deformation.exemplars import Candidate, blend, compact, weigh, weighted
+from shapeforge.deformation.factors import FLOORS, Covariances
+from shapeforge.deformation.hierarchy import Hierarchy, Link, deformed_family, family_templates
+from shapeforge.deformation.shape_fit import work_on_shape
+from shapeforge.deformation.starts import affine_beliefs
+from shapeforge.deformation.templates import PartTemplates
+from shapeforge.deformation.updates import make_problem
+
+ROUNDS = 8
+"""Outer rounds of the family's templates."""
+
+SIGMA = 0.04
+"""σ1 (diagonals) they start with; by the last round it is at its floor."""
+
+TRIAL_ROUNDS = 4
+"""Rounds after which the better one of a shape's two starts goes on alone."""
+
+ASKED, ASKED_SIGMA = 8, 0.02
+"""Shapes asked which linked templates explain them best, and σ1 (diagonals) of the round that answers."""
+
+TRUSTED = 0.7
+"""What the exemplars say of the labels is believed to this share at the start; the rest is spread evenly."""
+
+LEAST_POINTS = 12
+"""Points of a part, on either side, from which it gets an affine start of its own."""
+
+
+def sigma_of_round(number: int, rounds: int) -> float:
+    """σ1 (diagonals) after ``number`` of ``rounds`` rounds of the family's templates; falls by the same factor."""
+    return SIGMA * (FLOORS["unary"] / SIGMA) ** min(1.0, number / max(rounds - 1, 1))
+
+
+def link_family(
+    executor: Executor | None,
+    shapes: Sequence[Shape],
+    labels: Sequence[np.ndarray | None],
+    templates: tuple[PartTemplates, ...],
+    candidates: Sequence[Sequence[Candidate]],
+    covariances: Covariances,
+) -> Hierarchy:
+    """The linked templates that explain the shapes best, among those of ``family_templates``; a few shapes are asked.
+
+    The last of the ``links`` belongs to the top-level templates themselves, as if they were one more exemplar's.
+    """
+    explained = np.bincount([blend(one).template for one in candidates], minlength=len(templates)).tolist()
+    tried = [_with_itself(hierarchy) for hierarchy in family_templates(templates, explained)]
+    if len(tried) == 1:
+        return tried[0]
+    asked = np.unique(np.linspace(0, len(shapes) - 1, ASKED).round().astype(int)).tolist()
+    answers = in_order(
+        executor, _misfits, (shapes[t] for t in asked), [labels[t] for t in asked], repeat(shared(executor, templates)),
+        [candidates[t] for t in asked], repeat(shared(executor, tried)), repeat(covariances),
+    )  # fmt: skip
+    return tried[int(np.sum(list(answers), axis=0).argmin())]
+
+
+def start_family(
+    executor: Executor | None,
+    shapes: Iterable[Shape],
+    labels: Sequence[np.ndarray | None],
+    templates: tuple[PartTemplates, ...],
+    candidates: Sequence[Sequence[Candidate]],
+    hierarchy: Hierarchy,
+) -> tuple[tuple[Candidate, ...], ...]:
+    """Every shape's candidates, with two starts of the family's templates added (see ``family_starts``)."""
+    starts = in_order(
+        executor, family_starts, shapes, labels, repeat(shared(executor, templates)), candidates,
+        repeat(shared(executor, hierarchy)),
+    )  # fmt: skip
+    return tuple(weighted([*one, *start]) for one, start in zip(candidates, starts, strict=True))
+
+
+def family_starts(
+    shape: Shape,
+    faces: Int[np.ndarray, " F"] | None,
+    templates: tuple[PartTemplates, ...],
+    candidates: Sequence[Candidate],
+    hierarchy: Hierarchy,
+) -> tuple[Candidate, ...]:
+    """Two starts of the family's templates on one shape that exemplars have explained.
+
+    One with all parts under the affine map of the whole, which may find again what the exemplars had lost; one with the
+    parts that are believed in, each under the affine map that takes it to the surface believed to be its own.
+    """
+    problem, beliefs = make_problem(shape, faces), blend(candidates)
+    top, index = hierarchy.top, len(templates)
+    there = deformed_family(beliefs, hierarchy)[2]
+    believed = np.bincount(top.label[there], minlength=top.n_parts) > 0
+    if not believed.any():
+        believed = top.has_part()
+    alignment = _aligned(top.points[believed[top.label]], shape.points, beliefs.pose)
+    whole = affine_beliefs(shape, problem, top, index, alignment)
+    deformed, maps, offsets = whole.deformed.copy(), whole.maps.copy(), whole.offsets.copy()
+    likeliest = beliefs.segmentation.argmax(axis=1)
+    for part in np.flatnonzero(believed).tolist():
+        mine, theirs = top.label == part, likeliest == part
+        if min(mine.sum(), theirs.sum()) >= LEAST_POINTS:
+            own = affine_align(deformed[mine], shape.points[theirs])
+            maps[part], offsets[part] = own.matrix @ maps[part], own(offsets[part][None])[0]
+            deformed[mine] = own(deformed[mine])
+    starts = [
+        replace(_believing(whole, beliefs, top.has_part()), pose=beliefs.pose),
+        replace(
+            _believing(whole, beliefs, believed), pose=beliefs.pose, deformed=deformed, maps=maps, offsets=offsets
+        ),
+    ]
+    return tuple(map(compact, weigh(problem, (*templates, top), starts, family=True)))
+
+
+def better_start(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """The candidates without all of the family's but the one that explains the shape best."""
+    best = min((one for one in candidates if one.family), key=lambda one: one.misfit)
+    return tuple(one for one in candidates if one is best or not one.family)
+
+
+def _aligned(template: np.ndarray, points: np.ndarray, pose: Float[np.ndarray, "3 3"]) -> Alignment:
+    """The affine map of template points onto a shape's, found as the family lies."""
+    found = affine_align(template, points @ pose.T)
+    return Alignment(pose.T @ found.matrix, pose.T @ found.offset, found.residual, found.start)
+
+
+def _believing(start: Beliefs, known: Beliefs, active: np.ndarray) -> Beliefs:
+    """A start with these active parts (L,), which trusts what is known of the labels, but not blindly."""
+    said = TRUSTED * known.segmentation + (1.0 - TRUSTED) * active / active.sum()
+    said = np.where(active, said, 0.0) + 1e-9 * active
+    said /= said.sum(axis=1, keepdims=True)
+    painted = start.evidence >= 0
+    said[painted] = np.eye(len(active))[start.evidence[painted]]
+    return replace(start, active=active, segmentation=said)
+
+
+def _misfits(shape, faces, templates, candidates, hierarchies, covariances) -> Float[np.ndarray, " H"]:
+    """Misfit (H,) of each of the hierarchies' top-level templates on a shape, after a round from the parts' own start."""
+    sharp = replace(covariances, unary=np.full(3, ASKED_SIGMA**2))
+    found = []
+    for hierarchy in hierarchies:
+        with_top = (*templates, hierarchy.top)
+        start = family_starts(shape, faces, templates, candidates, hierarchy)[1:]
+        worked = work_on_shape(shape, faces, with_top, start, sharp, 3, None, True)
+        found.append(worked.candidates[0].misfit)
+    return np.array(found)
+
+
+def _with_itself(hierarchy: Hierarchy) -> Hierarchy:
+    """The hierarchy with a last link, from the top-level templates to themselves."""
+    number = hierarchy.top.n_points
+    index, weight = np.zeros((number, 3), np.int32), np.zeros((number, 3))
+    index[:, 0], weight[:, 0] = np.arange(number), 1.0
+    return replace(hierarchy, links=(*hierarchy.links, Link(index, weight, np.ones(number, bool))))

@@ -1,0 +1,87 @@
+"""Where a fit starts: the exemplars' templates, their affine maps onto every shape, and turned shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from shapeforge.collection.align import affine_align
+from shapeforge.collection.shape import Shape
+from shapeforge.deformation.beliefs import Beliefs
+from shapeforge.deformation.exemplars import Candidate, compact, weigh
+from shapeforge.deformation.pose import posed_starts
+from shapeforge.deformation.templates import PartTemplates, template_from_exemplar, template_from_points
+from shapeforge.deformation.updates import Problem, make_problem
+
+
+def affine_beliefs(
+    shape: Shape, problem: Problem, templates: PartTemplates, index: int, alignment, seed: np.ndarray | None = None
+) -> Beliefs:
+    """The affine start: template under the exemplar's affine map, s uniform over the template's parts (or seeded)."""
+    has = templates.has_part()
+    n_parts = templates.n_parts
+    deformed = alignment(templates.points)
+    segmentation = np.tile(has / has.sum(), (shape.n_points, 1))
+    if seed is not None:
+        segmentation = np.where(has, np.asarray(seed, np.float64) + 1e-6, 0.0)
+        segmentation /= segmentation.sum(axis=1, keepdims=True)
+    painted = problem.evidence >= 0
+    segmentation[painted] = np.eye(n_parts)[problem.evidence[painted]]
+    return Beliefs(
+        template=index,
+        deformed=deformed,
+        variance=np.full_like(deformed, 1e-4),
+        maps=np.tile(alignment.matrix, (n_parts, 1, 1)),
+        offsets=np.tile(alignment.offset, (n_parts, 1)),
+        segmentation=segmentation,
+        active=has,
+        evidence=problem.evidence,
+        misfit=np.full(n_parts, np.nan),
+    )
+
+
+def exemplar_starts(shape, faces, templates, own, how_many, seed) -> tuple[Candidate, ...]:
+    """Affine starts of a shape: its own group's exemplar first, then the best of the others; turned ones if better.
+
+    Poses compete as exemplars do, by weight; those that are far behind are given up here.
+    """
+    problem = make_problem(shape, faces)
+    alignments = [affine_align(template.points, shape.points) for template in templates]
+    order = sorted(range(len(templates)), key=lambda g: (g != own, alignments[g].residual))[:how_many]
+    beliefs = [affine_beliefs(shape, problem, templates[g], g, alignments[g], seed) for g in order]
+    turned = posed_starts(shape.points, [template.points for template in templates], alignments)
+    if not turned:
+        return tuple(map(compact, weigh(problem, templates, beliefs)))
+    for start in turned:
+        found = affine_beliefs(shape, problem, templates[start.template], start.template, start.alignment, seed)
+        beliefs.append(replace(found, pose=start.pose))
+    candidates = weigh(problem, templates, beliefs)
+    kept = sorted(candidates, key=lambda candidate: -candidate.weight)[: max(how_many, 2)]
+    return tuple(compact(candidate) for candidate in candidates if candidate in kept)
+
+
+def exemplar_templates(shapes, groups, labels, part_names, seeds) -> Iterator[PartTemplates]:
+    """One template set per exemplar that has labels; the others' groups are explained by these."""
+    found = False
+    for t in groups.exemplars:
+        shape = shapes[int(t)]
+        faces = labels.get(int(t))
+        if faces is not None and (np.asarray(faces) >= 0).any():
+            found = True
+            yield template_from_exemplar(shape, faces, part_names)
+        elif seeds is not None:
+            found = True
+            yield _seeded_template(shape, seeds[int(t)], part_names)
+    if not found:
+        names = ", ".join(shapes[int(t)].name for t in groups.exemplars)
+        raise ValueError(
+            f"labels: wanted painted faces on at least one exemplar ({names}), got none; paint one, or start from "
+            "proposed parts (`shapeforge cosegment`)"
+        )
+
+
+def _seeded_template(shape: Shape, seed: np.ndarray, part_names: tuple[str, ...]) -> PartTemplates:
+    return template_from_points(
+        shape.points, shape.normals, shape.descriptors, np.argmax(seed, axis=1).astype(np.int32), part_names, shape.name
+    )
