@@ -71,8 +71,9 @@ def family_templates(
 ) -> list[Hierarchy]:
     """The ways to link the groups' templates that are worth a try: first that of ``link_templates``.
 
-    In the others one of the ``hubs`` groups that explain most shapes gives all the parts that it has: parts taken from
-    different groups may not go together.  Arguments and errors as of ``link_templates``.
+    In the others one group gives all the parts that it has, for parts taken from different groups may not go together:
+    one of those with the most parts, at most ``hubs`` of them, those that explain most shapes.  Arguments and errors as
+    of ``link_templates``.
     """
     if not templates:
         raise ValueError("templates: wanted at least one set, got none; fit the family first")
@@ -93,7 +94,8 @@ def family_templates(
     need(a for tried in sources for a in tried)
     best = [_best_start(part, tried, templates, has, size, fits) for part, tried in enumerate(sources)]
     choices = [best]
-    for hub in sorted(range(number), key=lambda g: (-size[g], -has[g].sum(), g))[:hubs]:
+    most = has.sum(axis=1)
+    for hub in sorted(np.flatnonzero(most == most.max()).tolist(), key=lambda g: (-size[g], g))[:hubs]:
         choice = [hub if has[hub, part] else best[part] for part in range(n_parts)]
         if choice not in choices:
             need([hub])
