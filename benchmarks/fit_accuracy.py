@@ -53,7 +53,7 @@ from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.faces import explanations, label_faces
 from shapeforge.deformation.factors import Covariances, floored, initial_covariances
 from shapeforge.deformation.fit import FitDiverged, fit_templates
-from shapeforge.deformation.hierarchy import corresponding_points, link_templates
+from shapeforge.deformation.hierarchy import corresponding_points
 from shapeforge.deformation.templates import PartTemplates, template_from_exemplar
 from shapeforge.deformation.updates import Correspondence, update_maps
 from shapeforge.validation.correspondence import corr_curve, landmark_errors
@@ -94,14 +94,6 @@ def _no_attraction(descriptors, offsets, neighbour, segment) -> np.ndarray:
     return np.zeros(len(neighbour))
 
 
-def _map_or_last(templates: PartTemplates, correspondence: Correspondence, beliefs: Beliefs) -> Beliefs:
-    """``update_maps``, or the maps as they were: without φ2 a whole part may gather in a single template point."""
-    try:
-        return update_maps(templates, correspondence, beliefs)
-    except np.linalg.LinAlgError:
-        return beliefs
-
-
 def _one_map(templates: PartTemplates, correspondence: Correspondence, beliefs: Beliefs) -> Beliefs:
     """``update_maps`` with the whole shape as one part: the map all parts share."""
     whole = replace(templates, label=np.zeros_like(templates.label), part_names=("all",))
@@ -140,17 +132,21 @@ def _onto_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 ABLATIONS: dict[str, tuple[str, dict[str, object]]] = {
     "no-phi1": ("without φ1, nearness", _without("unary")),
-    "no-phi2": ("without φ2, smoothness", _without("smooth") | {"fit.update_maps": _map_or_last}),
+    "no-phi2": ("without φ2, smoothness", _without("smooth")),
     "no-phi3": ("without φ3, looks", {"updates.DESCRIPTOR_WEIGHT": 0.0, "updates.NORMAL_WEIGHT": 0.0}),
     "no-phi4": ("without φ4, labels agree", {"updates.LOG_EPSILON": 0.0, "energy.LOG_EPSILON": 0.0}),
-    "no-phi5": ("without φ5, like neighbours", {"fit.attraction": _no_attraction}),
-    "all-parts": ("no part is missing", {"fit.switch_off_missing": lambda *given: given[4]}),
-    "one-map": ("one map for all parts", {"fit.update_maps": _one_map}),
-    "no-annealing": ("no annealing", {"fit.ANNEALING": 1.0}),
+    "no-phi5": ("without φ5, like neighbours", {"shape_fit.attraction": _no_attraction}),
+    "all-parts": ("no part is missing", {"shape_fit.switch_off_missing": lambda *given: given[4]}),
+    "one-map": ("one map for all parts", {"shape_fit.update_maps": _one_map}),
+    "no-annealing": ("no annealing", {"fit.ANNEALING": 1.0, "family.sigma_of_round": lambda *_: HUGE}),
     "boxes": (
         "box templates",
-        {"fit.template_from_exemplar": _boxed_template, "fit.update_templates": lambda templates, summary: templates},
+        {
+            "starts.template_from_exemplar": _boxed_template,
+            "fit.update_templates": lambda templates, summary: templates,
+        },
     ),
+    "exemplars-alone": ("no templates of the family", {"family.ROUNDS": 0}),
     "one-exemplar": ("one exemplar", {}),
 }
 """Title, and what is patched in ``shapeforge.deformation``."""
@@ -248,8 +244,7 @@ def fitted(family: Family, method: str) -> Answer:
         except FitDiverged as error:  # the state before is as good as the ablation gets
             print(f"{method}: {error}; scored as it was after round {state.round}", file=sys.stderr)
     beliefs = state.beliefs
-    explained = np.bincount([one.template for one in beliefs], minlength=len(state.templates))
-    hierarchy = link_templates(state.templates, explained)
+    hierarchy = state.hierarchy()
     places = {t: corresponding_points(shapes[t], beliefs[t], hierarchy)[0] for t in range(len(shapes))}
     pairs = {}
     for t in family.tested:

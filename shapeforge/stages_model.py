@@ -27,7 +27,6 @@ ROUNDS_PER_ALTERNATION = 2
 def fit(task: Task) -> Iterator[Progress]:
     """Templates, correspondences, segmentations (a checkpoint a round), then the high-level templates and faces."""
     from shapeforge.deformation.fit import fit_templates
-    from shapeforge.deformation.hierarchy import link_templates
 
     project, folder = task.project, task.folder
     labels, part_names, seeds = starting_parts(project)
@@ -49,8 +48,7 @@ def fit(task: Task) -> Iterator[Progress]:
     if state is None:
         raise StageError("the fit made no round; wanted rounds of at least 1")
     yield task.progress("hierarchy", 0, 1, "linking the groups' templates", state=state)
-    explained = np.bincount([one.template for one in state.beliefs], minlength=len(state.templates))
-    hierarchy = link_templates(state.templates, explained.tolist())
+    hierarchy = state.hierarchy()
     write_record(folder / "hierarchy.zarr.zip", hierarchy)
     yield from write_shapes(task, folder, state, hierarchy)
     write_record(folder / "fit.zarr.zip", state)

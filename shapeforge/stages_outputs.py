@@ -191,7 +191,7 @@ def apply_one(name: str, path: Path, options: dict[str, Any], state: Any, hierar
     sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
     rng = np.random.default_rng([int(options["seed"]), int(sha256[:15], 16)])
     shape = prepare_shape(name, read_mesh(path), n_points=int(options["points"]), up=options["up"], rng=rng)
-    candidates = fit_candidates(shape, state.templates, state.covariances, annealed_from=state.annealed_from)
+    candidates = fit_candidates(shape, state.templates, state.covariances, hierarchy, annealed_from=state.annealed_from)
     beliefs, explained = blend(candidates), Explanations(candidates, state.templates, state.covariances.unary)
     labels, _ = label_faces(shape, beliefs, explained=explained)
     positions, existence = corresponding_points(shape, beliefs, hierarchy)

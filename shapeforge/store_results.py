@@ -225,7 +225,9 @@ def write_names(path: Path, names: tuple[str, ...]) -> None:
 
 def write_round(path: Path, state: Any) -> None:
     """Record a round: every shape's deformed template points in float16 (1e-3 diagonals or better), and its figures."""
-    beliefs = [max(tried, key=lambda candidate: candidate.weight).beliefs for tried in state.candidates]
+    from shapeforge.deformation.exemplars import leading
+
+    beliefs = [leading(tried).beliefs for tried in state.candidates]
     deformed = [np.asarray(belief.deformed, np.float16) for belief in beliefs]
     write_arrays(
         path,

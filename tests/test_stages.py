@@ -122,7 +122,9 @@ def test_other_options_make_a_stage_stale_and_say_so(done: Project, tmp_path: Pa
     old = project.fit()
     steps = list(run(project, "fit", rounds=1))
     assert steps[0].phase == "stale" and "rounds 1 instead of 2" in steps[0].message
-    assert project.fit().round == 1 and old.round == 2
+    # as many rounds of the family's templates follow those of the exemplars'
+    assert project.fit().family_from == old.family_from == 1
+    assert project.fit().round == 2 and old.round == 3
     assert status(project)["learn"].state == "stale" and "fit" in status(project)["learn"].reason
     assert [step.phase for step in run(project, "fit")] == ["done"]  # options stay as they were given last
     assert len(list((project.path / "fit").iterdir())) == 1  # the old results are gone
@@ -229,18 +231,21 @@ def killed_after(path: Path, stage: str, line: str, *more: object) -> None:
             pytest.fail(f"{stage} never printed {line!r}")
 
 
-def test_a_killed_fit_goes_on_and_ends_with_the_same_bytes(grouped: Project, family: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("line", ["fit 2", "fit 5"], ids=["the exemplars' rounds", "the family's"])
+def test_a_killed_fit_goes_on_and_ends_with_the_same_bytes(
+    grouped: Project, family: Path, tmp_path: Path, line: str
+) -> None:
     unbroken = copy_of(grouped, tmp_path / "unbroken")
     last(run(unbroken, "label", labels=family, only="exemplars"))
     broken = copy_of(unbroken, tmp_path / "broken")
     last(run(unbroken, "fit", rounds=4))
-    killed_after(broken.path, "fit", "fit 2")
+    killed_after(broken.path, "fit", line)
     broken = Project.open(broken.path)
     assert status(broken)["fit"].state == "partial" and broken.fit() is None
     steps = list(run(broken, "fit", rounds=4))
     assert "goes on after round" in steps[0].message and steps[0].step >= 2
     assert contents(broken) == contents(unbroken)
-    assert len(broken.rounds("chair_0000")) == 5
+    assert len(broken.rounds("chair_0000")) == broken.fit().round + 1 == 8
 
 
 def test_a_killed_import_goes_on(family: Path, grouped: Project, tmp_path: Path, monkeypatch) -> None:
@@ -344,7 +349,7 @@ def test_refine_replaces_fit_and_machine(done: Project, tmp_path: Path) -> None:
     last(run(project, "refine", alternations=1))
     assert states(project)["refine"] == "done" and states(project)["synthesize"] == "stale"
     assert project.fit_stage == project.machine_stage == "refine"
-    assert contents(project) != before and project.fit().round == 4
+    assert contents(project) != before and project.fit().round == 5
     assert not np.array_equal(project.machine().weights12, machine.weights12)
     last(run(project, "fit", rounds=1))
     assert project.fit_stage == "fit" and states(project)["refine"] == "stale"

@@ -11,7 +11,7 @@ from shapeforge.collection.shape import Shape
 from shapeforge.deformation import family
 from shapeforge.deformation.exemplars import Candidate, weighted
 from shapeforge.deformation.factors import FLOORS, Covariances
-from shapeforge.deformation.fit import ANNEALING, EXEMPLARS_PER_SHAPE
+from shapeforge.deformation.fit import ANNEALING, EXEMPLARS_PER_SHAPE, exemplar_rounds
 from shapeforge.deformation.hierarchy import Hierarchy
 from shapeforge.deformation.shape_fit import work_on_shape
 from shapeforge.deformation.starts import exemplar_starts
@@ -45,7 +45,7 @@ def fit_candidates(
     def at(sigma: float) -> Covariances:
         return replace(covariances, unary=sigma**2 * shape_of_unary)
 
-    for step in range(rounds):
+    for step in range(exemplar_rounds(rounds) if of_family else rounds):
         sharpened = at(max(FLOORS["unary"], annealed_from * ANNEALING**step))
         candidates = work_on_shape(shape, faces, exemplars, candidates, sharpened, inner, None, False).candidates
     if not of_family:

@@ -121,9 +121,7 @@ def family_starts(
             deformed[mine] = own(deformed[mine])
     starts = [
         replace(_believing(whole, beliefs, top.has_part()), pose=beliefs.pose),
-        replace(
-            _believing(whole, beliefs, believed), pose=beliefs.pose, deformed=deformed, maps=maps, offsets=offsets
-        ),
+        replace(_believing(whole, beliefs, believed), pose=beliefs.pose, deformed=deformed, maps=maps, offsets=offsets),
     ]
     return tuple(map(compact, weigh(problem, (*templates, top), starts, family=True)))
 
@@ -151,7 +149,7 @@ def _believing(start: Beliefs, known: Beliefs, active: np.ndarray) -> Beliefs:
 
 
 def _misfits(shape, faces, templates, candidates, hierarchies, covariances) -> Float[np.ndarray, " H"]:
-    """Misfit (H,) of each of the hierarchies' top-level templates on a shape, after a round from the parts' own start."""
+    """Misfit (H,) of each of the hierarchies' top-level templates on a shape, a round after the parts' own start."""
     sharp = replace(covariances, unary=np.full(3, ASKED_SIGMA**2))
     found = []
     for hierarchy in hierarchies:

@@ -35,6 +35,9 @@ ANNEALING = 0.87
 SETTLED = 5e-4
 """Mean movement of the deformed points (diagonals) in a round below which the fit stops, once σ1 is sharp."""
 
+EXEMPLARS_SHARE = 0.7
+"""Share of the planned rounds that several exemplars get: the templates of the family bring their work to its end."""
+
 EXEMPLARS_PER_SHAPE = 3
 """Exemplars tried on every shape: its own group's and the next best by affine residual."""
 
@@ -109,9 +112,10 @@ def fit_templates(
 
     ``labels[t]`` are part indices per face record (-1: unpainted) of shape t; every group's exemplar needs some, unless
     ``seeds`` gives label probabilities (P, L) of every shape (automatic start).  ``prior(t, g)`` is a Gaussian on D.
-    Several exemplars are followed by ``family_rounds`` rounds of the family's own templates (see ``family``; None: as
-    many as ``rounds``, at most 8).  ``resume`` goes on from a state that an earlier call yielded; one whose fit is at
-    its end is worked on further if ``rounds`` says so.  Yields the affine start and then one state a round.
+    Several exemplars get only the first seven tenths of the ``rounds``, and are followed by ``family_rounds`` of the
+    family's own templates (see ``family``; None: as many as ``rounds``, at most 8).  ``resume`` goes on from a state
+    that an earlier call yielded; one whose fit is at its end is worked on further if ``rounds`` says so.  Yields the
+    affine start and then one state a round.
 
     Raises ValueError when no exemplar has labels, FitDiverged (with the last good state) on non-finite numbers.
     """
@@ -135,7 +139,8 @@ def fit_templates(
     else:
         state = replace(resume, stop_reason=None)
     while state.round < _last_round(state, rounds, family_rounds):
-        if state.family is None and (state.family_from >= 0 or state.round >= rounds):
+        first = state.family_from if state.family_from >= 0 else exemplar_rounds(rounds)
+        if state.family is None and state.round >= first and len(state.templates) > 1 and family_rounds > 0:
             state = _begin_family(state, shapes, each_shape, painted, executor)
         state = _one_round(state, shapes, each_shape, groups, painted, rounds, family_rounds, inner, executor, prior)
         yield state
@@ -145,9 +150,15 @@ def fit_templates(
 
 def _last_round(state: FitState, rounds: int, family_rounds: int) -> int:
     """Number of the round after which a fit ends, as far as can be told from this state."""
-    if state.family is None and len(state.templates) == 1:
+    if state.family is None and (len(state.templates) == 1 or family_rounds == 0):
         return rounds
-    return max(rounds, (state.family_from if state.family_from >= 0 else rounds) + family_rounds)
+    first = state.family_from if state.family_from >= 0 else exemplar_rounds(rounds)
+    return max(rounds, first + family_rounds)
+
+
+def exemplar_rounds(rounds: int) -> int:
+    """Rounds that several exemplars' own templates get of those planned; the family's come after them."""
+    return max(1, round(EXEMPLARS_SHARE * rounds))
 
 
 def _begin_family(state: FitState, shapes, each_shape, painted, executor) -> FitState:

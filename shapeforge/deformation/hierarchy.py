@@ -205,9 +205,7 @@ def _assemble(templates, has, chosen, fits) -> Hierarchy:
         ]
     )
     label = gathered("label")
-    top = template_from_points(
-        points, gathered("normals"), gathered("descriptors"), label, templates[0].part_names
-    )
+    top = template_from_points(points, gathered("normals"), gathered("descriptors"), label, templates[0].part_names)
     links = []
     for b, template in enumerate(templates):
         index, weight = np.zeros((len(label), 3), np.int32), np.zeros((len(label), 3))

@@ -145,7 +145,7 @@ class PosedStart:
 
 def posed_starts(
     points: Float[np.ndarray, "P 3"],
-    templates: Sequence[Float[np.ndarray, "K 3"]],
+    templates: Sequence[Float[np.ndarray, "_ 3"]],
     alignments: Sequence[Alignment],
     *,
     rotations: Float[np.ndarray, "r 3 3"] = AXIS_ROTATIONS[1:],

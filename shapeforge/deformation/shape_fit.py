@@ -83,7 +83,11 @@ def work_on_shape(
     best = min(range(len(weighed)), key=lambda i: weighed[i].misfit)
     others = [candidate for candidate in candidates if candidate.family != family]
     return Worked(
-        weighted([*others, *map(compact, weighed)]), tuple(one.template for one in done), tuple(sums), tuple(moves), best
+        weighted([*others, *map(compact, weighed)]),
+        tuple(one.template for one in done),
+        tuple(sums),
+        tuple(moves),
+        best,
     )
 
 

@@ -16,8 +16,8 @@ from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.factors import DESCRIPTOR_WEIGHT, LOG_EPSILON, NORMAL_WEIGHT, Covariances
 from shapeforge.deformation.templates import PartTemplates, pair_graph
 
-POINT_CANDIDATES = 15
-TEMPLATE_CANDIDATES = 40
+POINT_CANDIDATES = 12
+TEMPLATE_CANDIDATES = 24
 MAP_RIDGE = 0.05
 SMOOTHING_SWEEPS = 10
 

@@ -62,7 +62,9 @@ class TemplateLook:
 def best_beliefs(state: Any, index: int) -> Any:
     """The beliefs about shape ``index`` of a fit's state, without blending the others in (positions are the same)."""
     if hasattr(state, "candidates"):
-        return max(state.candidates[index], key=lambda candidate: candidate.weight).beliefs
+        from shapeforge.deformation.exemplars import leading
+
+        return leading(state.candidates[index]).beliefs
     return state.beliefs[index]
 
 

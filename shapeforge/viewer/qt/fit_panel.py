@@ -310,7 +310,7 @@ class FitPlace:
             self.heads[1][1].setText("not fitted yet")
             self.heads[2][1].setText("after the fit")
         else:
-            source = f" from {look.source}" if look is not None and look.source else ""
+            source = "" if look is None else f" from {look.source}" if look.source else ", the family's own"
             self.heads[1][1].setText(f"{now.template + 1} of {len(self.record.looks)}{source}")
             self.heads[2][1].setText("pale = unsure")
 

@@ -1,0 +1,81 @@
+"""Templates of the whole family: parts that no exemplar has together, and the same points on every shape."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from shapeforge.collection.families import generate
+from shapeforge.collection.groups import Groups
+from shapeforge.collection.iterate import last
+from shapeforge.collection.prepare import prepare_shape
+from shapeforge.deformation import family
+from shapeforge.deformation.exemplars import leading
+from shapeforge.deformation.factors import FLOORS
+from shapeforge.deformation.fit import fit_templates
+from shapeforge.deformation.hierarchy import family_templates
+from tests.deformation.test_hierarchy import PARTS, chair
+
+
+@pytest.fixture(scope="module")
+def family_fit():
+    """A side chair is painted, and an armchair but for its legs; among the others is another armchair."""
+    made = generate("chairs", 2, seed=11, broken=0.0, classes=("side",))
+    made += generate("chairs", 2, seed=11, broken=0.0, classes=("armchair",))
+    shapes = [
+        prepare_shape(f"{i}", one.mesh, n_points=700, up="keep", rng=np.random.default_rng(i))
+        for i, one in enumerate(made)
+    ]
+    names = made[-1].part_names
+    truth = [np.array([names.index(one.part_names[part]) for part in one.faces], np.int32) for one in made]
+    groups = Groups(("a", "b"), np.array([0, 0, 0, 1]), np.array([0, 3]), np.zeros((4, 2)))
+    labels = {0: truth[0], 3: np.where(truth[3] == names.index("leg"), -1, truth[3])}
+    return names, last(fit_templates(shapes, groups, labels, names, rounds=8, rng=np.random.default_rng(0)))
+
+
+def test_a_hub_gives_all_the_parts_that_it_has():
+    plain, armed, stool = chair(0.8, 0.5), chair(0.8, 0.6, arms=True), chair(0.3, 0.9)
+    found = family_templates([plain, armed, stool], [9, 1, 2])
+    for hierarchy in found:
+        assert hierarchy.top.has_part().all() and hierarchy.top.part_names == PARTS
+    # the armchair alone has all parts, so it is the only hub; parts chosen one by one come from the frequent one
+    assert len(found) == 2
+    identity = [(link.weight[:, 0] == 1).all() and link.exists.all() for link in found[1].links]
+    assert identity == [False, True, False]
+
+
+def test_sigma_falls_to_its_floor_with_the_last_round():
+    sigma = [family.sigma_of_round(number, 8) for number in range(9)]
+    assert sigma[0] == family.SIGMA and sigma[-2:] == [pytest.approx(FLOORS["unary"])] * 2
+    np.testing.assert_allclose(np.diff(np.log(sigma[:8])), np.log(FLOORS["unary"] / family.SIGMA) / 7)
+
+
+def test_the_better_start_goes_on_with_the_exemplars(family_fit):
+    state = family_fit[1]
+    for candidates in state.candidates:
+        of_family = [one for one in candidates if one.family]
+        worse = replace(of_family[0], misfit=of_family[0].misfit + 1.0)
+        kept = family.better_start((*candidates, worse))
+        assert kept == tuple(candidates)
+
+
+def test_every_shape_is_led_by_the_same_templates(family_fit):
+    _, state = family_fit
+    number = len(state.templates) - 1
+    assert state.phase == "family" and {beliefs.template for beliefs in state.beliefs} == {number}
+    hierarchy = state.hierarchy()
+    assert hierarchy.top is state.templates[-1] and len(hierarchy.links) == len(state.templates)
+    itself = hierarchy.links[-1]
+    assert (itself.index[:, 0] == np.arange(hierarchy.top.n_points)).all() and itself.exists.all()
+
+
+def test_parts_of_two_exemplars_are_found_together_on_a_shape_that_has_both(family_fit):
+    names, state = family_fit
+    both = state.beliefs[2]
+    wanted = [names.index(part) for part in ("arm", "leg", "back", "seat")]
+    assert both.active[wanted].all() and not both.lent
+    exemplars = [candidate for candidate in state.candidates[2] if not candidate.family]
+    assert not any(candidate.beliefs.active[wanted].all() for candidate in exemplars)
+    assert leading(state.candidates[2]).misfit < min(candidate.misfit for candidate in exemplars)
