@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from shapeforge.collection.shape import Shape
-from shapeforge.deformation.exemplars import Candidate
+from shapeforge.deformation.exemplars import Candidate, with_copies
 from shapeforge.deformation.factors import FLOORS, Covariances
 from shapeforge.deformation.fit import ANNEALING, EXEMPLARS_PER_SHAPE, _start, _work_on_shape
 from shapeforge.deformation.templates import PartTemplates
@@ -37,4 +37,4 @@ def fit_candidates(
         sigma = max(FLOORS["unary"], annealed_from * ANNEALING**step)
         sharpened = replace(covariances, unary=sigma**2 * shape_of_unary)
         candidates, _, _ = _work_on_shape(shape, faces, templates, candidates, sharpened, inner, None)
-    return candidates
+    return with_copies(shape, templates, candidates)

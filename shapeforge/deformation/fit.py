@@ -22,7 +22,7 @@ from shapeforge.collection.parallel import in_order, kept, shared
 from shapeforge.collection.shape import Shape, Shapes
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.energy import free_energy
-from shapeforge.deformation.exemplars import Candidate, blend, compact, unpacked, weigh
+from shapeforge.deformation.exemplars import Candidate, blend, compact, unpacked, weigh, with_copies
 from shapeforge.deformation.existence import part_prevalence, switch_off_missing
 from shapeforge.deformation.factors import FLOORS, Covariances, attraction, floored, initial_covariances
 from shapeforge.deformation.pose import posed_starts
@@ -187,6 +187,9 @@ def _one_round(state, shapes, each_shape, groups, labels, rounds, inner, executo
         reason = "the planned number of rounds is done"
     elif sharp and moved < SETTLED:
         reason = "the deformed templates have come to rest"
+    if reason is not None:  # the last round: what is left unexplained now stays so
+        shared_templates = repeat(shared(executor, templates))
+        candidates = list(in_order(executor, with_copies, each_shape(), shared_templates, candidates))
     sigma_by_part = np.sqrt(total.by_part[:, 1] / np.maximum(total.by_part[:, 0], 1e-9) / 3)
     return FitState(
         number_round, rounds, "fit", energy, moved, covariances, first, sigma_by_part, learnt, tuple(candidates), reason
