@@ -49,8 +49,12 @@ in heights of the shape: a slat of the back looks like a leg, but legs stand on 
 ALIKE = 0.01
 """Extents and height (diagonals) within which two components of a part are looked at as one."""
 
-COMPARED = 100
+COMPARED = 64
 """Points of a piece and of a component that are compared."""
+
+
+MIRRORED = np.array([[[across, 1.0, along]] for across in (1.0, -1.0) for along in (1.0, -1.0)])
+"""A left leg is a right leg's mirror image, a rear one a front one's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,19 +160,22 @@ def _likeness(
         fits &= min(abs(here - there) for here, there in zip(level, one.level, strict=True)) < LEVEL
         if not fits and one.part != present:
             continue
-        stretched = one.points * np.clip(ratio, *STRETCH)
-        for across in (1.0, -1.0):
-            for along in (1.0, -1.0):
-                turned = np.array([across, 1.0, along])
-                placed, facing = stretched * turned, one.normals * turned
-                there, gap = (found[:, 0] for found in nearest_points(placed, points))
-                value = 0.5 * _cost(gap, normals, facing[there]).mean()
-                if value >= costs[one.part]:
-                    continue
-                back, gap = (found[:, 0] for found in nearest_points(points, placed))
-                value += 0.5 * _cost(gap, facing, normals[back]).mean()
-                costs[one.part] = min(costs[one.part], float(value))
+        placed = one.points * np.clip(ratio, *STRETCH) * MIRRORED
+        costs[one.part] = min(costs[one.part], _apart(points, normals, placed, one.normals * MIRRORED))
     return costs
+
+
+def _apart(points: np.ndarray, normals: np.ndarray, placed: np.ndarray, facing: np.ndarray) -> float:
+    """Least mean cost, both ways, of points (n, 3) and a component in several poses (4, m, 3); by brute force."""
+    squared = (points**2).sum(axis=1)[:, None] + (placed**2).sum(axis=2)[:, None]
+    squared -= 2.0 * np.einsum("ni,qmi->qnm", points, placed)
+    turned = TURNED * (1.0 - np.abs(np.einsum("ni,qmi->qnm", normals, facing)))
+    total = np.zeros(len(placed))
+    for axis in (1, 2):
+        nearest = np.expand_dims(squared.argmin(axis=axis), axis)
+        gap, turn = (np.take_along_axis(of, nearest, axis).squeeze(axis) for of in (squared, turned))
+        total += 0.5 * (np.minimum(np.sqrt(np.maximum(gap, 0.0)) / REACH, 2.0) + turn).mean(axis=1)
+    return float(total.min())
 
 
 def _cost(gap: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.ndarray:
