@@ -70,8 +70,8 @@ def find_copies(
 ) -> tuple[Copy, ...]:
     """Pieces of the surface that are copies of components of other parts than ``label`` (P,) now has them as.
 
-    ``beliefs`` are those of the exemplar that explains the shape best; components of all ``templates`` are compared.
-    Pieces with painted points stay as they are.
+    ``beliefs`` are those of the exemplar that explains the shape best; components of its template are compared, and of
+    the other ``templates`` those of parts that it lacks.  Pieces with painted points stay as they are.
     """
     template = templates[beliefs.template]
     alive = np.flatnonzero(beliefs.active[template.label])
@@ -89,7 +89,7 @@ def find_copies(
     known: list[_Component] | None = None
     for one in asked.tolist():
         rows = np.flatnonzero(component == one)
-        known = _components(templates) if known is None else known
+        known = _components(templates, beliefs.template) if known is None else known
         points, facing = beliefs.to_family(shape.points[rows]), beliefs.to_family(shape.normals[rows])
         present = int(np.bincount(label[rows], minlength=template.n_parts).argmax())
         few = thinned(points, COMPARED), thinned(facing, COMPARED)
@@ -111,13 +111,14 @@ class _Component:
     normals: np.ndarray
 
 
-def _components(templates: Sequence[PartTemplates]) -> list[_Component]:
-    """All components of the templates that have points enough, centred."""
-    found = []
-    for template in templates:
+def _components(templates: Sequence[PartTemplates], best: int) -> list[_Component]:
+    """The components that have points enough, centred: those of the best template, others' of parts that it lacks."""
+    found: list[_Component] = []
+    has = templates[best].has_part()
+    for g, template in enumerate(templates):
         for part, number in np.unique(np.stack([template.label, template.component], axis=1), axis=0).tolist():
             rows = np.flatnonzero((template.label == part) & (template.component == number))
-            if len(rows) < FEWEST:
+            if len(rows) < FEWEST or (has[part] and g != best):
                 continue
             points, extent, middle = _centred(template.points[rows])
             level = _level(middle, template.points)
