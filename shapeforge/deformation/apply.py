@@ -9,7 +9,7 @@ import numpy as np
 
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation import family
-from shapeforge.deformation.exemplars import Candidate, weighted
+from shapeforge.deformation.exemplars import Candidate, weighted, with_copies
 from shapeforge.deformation.factors import FLOORS, Covariances
 from shapeforge.deformation.fit import ANNEALING, EXEMPLARS_PER_SHAPE, exemplar_rounds
 from shapeforge.deformation.hierarchy import Hierarchy
@@ -49,7 +49,7 @@ def fit_candidates(
         sharpened = at(max(FLOORS["unary"], annealed_from * ANNEALING**step))
         candidates = work_on_shape(shape, faces, exemplars, candidates, sharpened, inner, None, False).candidates
     if not of_family:
-        return candidates
+        return with_copies(shape, exemplars, candidates)
     assert hierarchy is not None
     candidates = weighted([*candidates, *family.family_starts(shape, faces, exemplars, candidates, hierarchy)])
     for step in range(family.ROUNDS):
@@ -57,4 +57,4 @@ def fit_candidates(
         candidates = work_on_shape(shape, faces, templates, candidates, sharpened, inner, None, True).candidates
         if step + 1 >= family.TRIAL_ROUNDS:
             candidates = family.better_start(candidates)
-    return candidates
+    return with_copies(shape, templates, candidates)

@@ -18,6 +18,8 @@ class Beliefs:
     ``evidence`` is the part painted by the user per point, -1 where nothing was painted;
     ``misfit`` the log odds of each part's existence, by which it was kept or switched off (NaN: not asked);
     ``lent`` the parts that this template lacks and another exemplar's beliefs bring: (part, those beliefs);
+    ``copies`` is the part (C = P) of surface points on a copy of a component that φ1 took for another part, -1
+    elsewhere, empty where there is none (see ``deformation.copies``): it has a label, and no template point of its own;
     ``pose`` turns the shape as the family lies (§7): positions here are the shape's own, ``x @ pose.T`` the family's.
     """
 
@@ -31,6 +33,7 @@ class Beliefs:
     evidence: Int[np.ndarray, " P"]
     misfit: Float[np.ndarray, " L"]
     lent: tuple[tuple[int, Beliefs], ...] = ()
+    copies: Int[np.ndarray, " C"] = field(default_factory=lambda: np.zeros(0, np.int32))
     pose: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
 
     def to_family(self, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:

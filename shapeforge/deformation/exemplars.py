@@ -10,7 +10,9 @@ from jaxtyping import Bool, Float
 
 from shapeforge.collection.align import thinned
 from shapeforge.collection.points import nearest_points
+from shapeforge.collection.shape import Shape
 from shapeforge.deformation.beliefs import Beliefs
+from shapeforge.deformation.copies import find_copies
 from shapeforge.deformation.templates import PartTemplates
 from shapeforge.deformation.updates import Problem, mapped_normals
 
@@ -144,9 +146,29 @@ def blend(candidates: Sequence[Candidate]) -> Beliefs:
         (part, unpacked(candidates[brought[part]].beliefs if part in brought else best))
         for part in np.flatnonzero(parts & ~own.active).tolist()
     )
-    return replace(
-        unpacked(own), segmentation=mixed / mixed.sum(axis=1, keepdims=True), active=own.active & parts, lent=lent
-    )
+    mixed /= mixed.sum(axis=1, keepdims=True)
+    if len(own.copies):
+        known = np.flatnonzero(own.copies >= 0)
+        mixed[known] = np.eye(len(parts))[own.copies[known]]
+    return replace(unpacked(own), segmentation=mixed, active=own.active & parts, lent=lent)
+
+
+def with_copies(
+    shape: Shape, templates: Sequence[PartTemplates], candidates: tuple[Candidate, ...]
+) -> tuple[Candidate, ...]:
+    """The candidates of a shape, with the copies of components that no template reached (``Beliefs.copies``)."""
+    bare = [
+        replace(one, beliefs=replace(one.beliefs, copies=np.zeros(0, np.int32))) if len(one.beliefs.copies) else one
+        for one in candidates
+    ]
+    blended = blend(bare)
+    found = find_copies(shape, templates, blended, blended.segmentation.argmax(axis=1))
+    if not found:
+        return tuple(bare)
+    copies = np.full(shape.n_points, -1, np.int32)
+    for one in found:
+        copies[one.rows] = one.part
+    return tuple(replace(one, beliefs=replace(one.beliefs, copies=copies)) for one in bare)
 
 
 def compact(candidate: Candidate) -> Candidate:

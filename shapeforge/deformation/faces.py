@@ -69,6 +69,9 @@ def face_probabilities(
     if explained is None:
         return sampled
     share = (TEMPLATE_SHARE + (1.0 - TEMPLATE_SHARE) / (1.0 + count))[:, None]
+    if len(beliefs.copies):  # no template knows of a copy
+        on_copy = np.stack([beliefs.copies < 0, beliefs.copies >= 0], axis=1).astype(np.float64)
+        share = share * _of_samples(shape, on_copy)[0][:, :1]
     return (1.0 - share) * sampled + share * template_probabilities(shape, explained)
 
 

@@ -21,7 +21,7 @@ from shapeforge.collection.parallel import in_order, kept, shared
 from shapeforge.collection.shape import Shape, Shapes
 from shapeforge.deformation import family
 from shapeforge.deformation.beliefs import Beliefs
-from shapeforge.deformation.exemplars import Candidate, blend
+from shapeforge.deformation.exemplars import Candidate, blend, with_copies
 from shapeforge.deformation.factors import FLOORS, Covariances, floored, initial_covariances
 from shapeforge.deformation.hierarchy import Hierarchy, link_templates
 from shapeforge.deformation.shape_fit import work_on_shape
@@ -232,7 +232,10 @@ def _one_round(
     reason = "the planned number of rounds is done" if number >= last else None
     if at_rest and number < last and (of_family or state.family_from < 0):
         reason = "the deformed templates have come to rest"
-    return replace(state, of=last, stop_reason=reason)
+    if reason is not None:  # the last round: what is left unexplained now stays so
+        shared_templates = repeat(shared(executor, templates))
+        candidates = list(in_order(executor, with_copies, each_shape(), shared_templates, candidates))
+    return replace(state, of=last, stop_reason=reason, candidates=tuple(candidates))
 
 
 def _update_covariances(

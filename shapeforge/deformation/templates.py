@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation import _kernels_pairs
+from shapeforge.deformation.pieces import face_components
 
 NEIGHBOURS = 20
 
@@ -68,10 +69,12 @@ def template_from_points(
     label: Int[np.ndarray, " K"],
     part_names: tuple[str, ...],
     source: str = "",
+    surface: Int[np.ndarray, " K"] | None = None,
 ) -> PartTemplates:
     """Templates from labelled points: neighbourhoods inside one part only (across parts they tear the borders).
 
-    Points with label -1 are left out.  Raises ``ValueError`` when no point has a label.
+    ``surface`` is the connected surface of the mesh that each point is on, if known: legs that rails tie together are
+    components each.  Points with label -1 are left out.  Raises ``ValueError`` when no point has a label.
     """
     keep = np.flatnonzero((label >= 0) & (label < len(part_names)))
     if not len(keep):
@@ -81,6 +84,7 @@ def template_from_points(
         )
     keep = keep[np.argsort(label[keep], kind="stable")]
     points, normals, descriptors, label = points[keep], normals[keep], descriptors[keep], label[keep]
+    surface = np.zeros(len(keep), np.int32) if surface is None else surface[keep]
     neighbours = np.full((len(points), NEIGHBOURS), -1, np.int32)
     component = np.zeros(len(points), np.int32)
     for part in range(len(part_names)):
@@ -90,18 +94,20 @@ def template_from_points(
         k = min(NEIGHBOURS, len(rows) - 1)
         near = cKDTree(points[rows]).query(points[rows], k=k + 1)[1][:, 1:]
         neighbours[rows[:, None], np.arange(k)] = rows[near]
-        component[rows] = _pieces(near[:, :6])
+        component[rows] = _pieces(near[:, :6], surface[rows])
     return PartTemplates(
         np.ascontiguousarray(points, np.float64), np.ascontiguousarray(normals, np.float64), label.astype(np.int32),
         component, neighbours, np.ascontiguousarray(descriptors, np.float64), part_names, source,
     )  # fmt: skip
 
 
-def _pieces(near: np.ndarray) -> np.ndarray:
-    """Connected pieces (n,) of a one-sided nearest-neighbour table (n, k)."""
+def _pieces(near: np.ndarray, surface: np.ndarray) -> np.ndarray:
+    """Connected pieces (n,) of a one-sided nearest-neighbour table (n, k); what lies on other surfaces is apart."""
     n, k = near.shape
     graph = coo_matrix((np.ones(near.size), (np.repeat(np.arange(n), k), near.ravel())), shape=(n, n))
-    return connected_components(graph.tocsr(), directed=False)[1].astype(np.int32)
+    piece = connected_components(graph.tocsr(), directed=False)[1]
+    both = np.stack([piece, surface], axis=1)
+    return np.unique(both, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int32)
 
 
 def template_from_exemplar(shape: Shape, faces: Int[np.ndarray, " F"], part_names: tuple[str, ...]) -> PartTemplates:
@@ -112,8 +118,9 @@ def template_from_exemplar(shape: Shape, faces: Int[np.ndarray, " F"], part_name
             "the labels belong to another version of the mesh"
         )
     return template_from_points(
-        shape.points, shape.normals, shape.descriptors, np.asarray(faces)[shape.face_of_point], part_names, shape.name
-    )
+        shape.points, shape.normals, shape.descriptors, np.asarray(faces)[shape.face_of_point], part_names, shape.name,
+        face_components(shape.mesh)[shape.face_of_point],
+    )  # fmt: skip
 
 
 def pair_graph(neighbours: Int[np.ndarray, "N n"]) -> tuple[np.ndarray, np.ndarray]:

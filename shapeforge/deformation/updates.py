@@ -17,7 +17,7 @@ from shapeforge.deformation.factors import DESCRIPTOR_WEIGHT, LOG_EPSILON, NORMA
 from shapeforge.deformation.templates import PartTemplates, pair_graph
 
 POINT_CANDIDATES = 12
-TEMPLATE_CANDIDATES = 24
+TEMPLATE_CANDIDATES = 40
 MAP_RIDGE = 0.05
 SMOOTHING_SWEEPS = 10
 

@@ -1,0 +1,178 @@
+"""More copies of a part than the exemplar has, at other places than there: recognised by their looks, and told so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from shapeforge.collection.families import generate_one
+from shapeforge.collection.families.copies import with_copy, without_components
+from shapeforge.collection.groups import Groups
+from shapeforge.collection.iterate import last
+from shapeforge.collection.prepare import prepare_shape
+from shapeforge.deformation.apply import fit_candidates
+from shapeforge.deformation.copies import find_copies
+from shapeforge.deformation.exemplars import blend
+from shapeforge.deformation.faces import Explanations, explanations, label_faces
+from shapeforge.deformation.fit import fit_templates
+from shapeforge.deformation.templates import template_from_exemplar
+from shapeforge.store_arrays import read_record, write_record
+
+N_POINTS = 1500
+
+
+def prepared(made, index: int):
+    return prepare_shape(f"{index}", made.mesh, n_points=N_POINTS, up="keep", rng=np.random.default_rng(index))
+
+
+def fitted(exemplar, others):
+    """The last state of a fit with one painted exemplar, and the shapes."""
+    shapes = [prepared(made, index) for index, made in enumerate([exemplar, *others])]
+    count = len(shapes)
+    groups = Groups(("a",), np.zeros(count, int), np.array([0]), np.zeros((count, 2)))
+    painted = {0: exemplar.faces.astype(np.int32)}
+    states = fit_templates(shapes, groups, painted, exemplar.part_names, rng=np.random.default_rng(0))
+    return last(states), shapes
+
+
+def component_of_face(made) -> np.ndarray:
+    names = np.empty(made.mesh.n_faces, object)
+    names[made.mesh.face_of_triangle] = [made.component_names[int(c)] for c in made.address[:, 0, 0]]
+    return names
+
+
+def right_share(made, faces: np.ndarray, component: str) -> float:
+    """Share of a component's area with the true label."""
+    mine = component_of_face(made) == component
+    area = made.mesh.face_areas[mine]
+    return float(area[faces[mine] == made.faces[mine]].sum() / area.sum())
+
+
+def jets(outer: bool, count: int):
+    """Airliners with engines below the wings; ``outer``: with four of them."""
+    found = []
+    for index in range(400):
+        made = generate_one("airplanes", index, seed=0, broken=0.0, classes=("airliner",))
+        hang = "engine_front_left" in made.landmarks and made.landmarks["engine_front_left"][2] > 0
+        if hang and ("outer engine left" in made.components) == outer:
+            found.append(made)
+        if len(found) == count:
+            break
+    return found
+
+
+@pytest.fixture(scope="module")
+def two_and_four():
+    (exemplar, alike), four = jets(False, 2), jets(True, 2)
+    return (exemplar, [*four, alike]), *fitted(exemplar, [*four, alike])
+
+
+def test_engines_three_and_four_are_engines(two_and_four):
+    (_, made), state, shapes = two_and_four
+    engine = made[0].part_names.index("engine")
+    for t in (1, 2):
+        beliefs = state.beliefs[t]
+        faces = label_faces(shapes[t], beliefs, explained=explanations(state, t))[0]
+        for name in ("engine left", "engine right", "outer engine left", "outer engine right"):
+            assert right_share(made[t - 1], faces, name) > 0.8, (t, name)
+        on_copy = np.flatnonzero(beliefs.copies == engine)
+        assert len(on_copy) and (beliefs.segmentation[on_copy].argmax(axis=1) == engine).all()
+        # without them the outer engines are taken for the wing they hang under
+        bare = tuple(
+            replace(one, beliefs=replace(one.beliefs, copies=np.zeros(0, np.int32))) for one in state.candidates[t]
+        )
+        without = label_faces(shapes[t], blend(bare), explained=explanations(state, t))[0]
+        assert right_share(made[t - 1], without, "outer engine left") < 0.5
+
+
+def test_what_the_exemplar_explains_has_no_copies(two_and_four):
+    """The exemplar itself, and any shape whose labels are right already; and what is called a copy is one."""
+    (_, made), state, shapes = two_and_four
+    assert len(state.beliefs[0].copies) == 0
+    for t in (1, 2, 3):
+        true = made[t - 1].faces[shapes[t].face_of_point].astype(np.int64)
+        assert find_copies(shapes[t], state.templates, state.beliefs[t], true) == ()
+        copies = state.beliefs[t].copies
+        assert len(copies) in (0, len(true)) and (copies[copies >= 0] == true[: len(copies)][copies >= 0]).all()
+
+
+def test_painted_pieces_stay(two_and_four):
+    (_, made), state, shapes = two_and_four
+    beliefs, wing = state.beliefs[1], made[0].part_names.index("wing")
+    copies = np.flatnonzero(beliefs.copies >= 0)
+    labels = beliefs.segmentation.argmax(axis=1)
+    labels[copies] = wing
+    again = find_copies(shapes[1], state.templates, beliefs, labels)
+    assert sorted(np.concatenate([one.rows for one in again]).tolist()) == copies.tolist()
+    evidence = beliefs.evidence.copy()
+    evidence[again[0].rows[0]] = wing
+    kept = find_copies(shapes[1], state.templates, replace(beliefs, evidence=evidence), labels)
+    assert len(kept) == len(again) - 1 and again[0].rows[0] not in np.concatenate([one.rows for one in kept])
+
+
+def test_new_shapes_have_copies_too_and_they_are_stored(two_and_four, tmp_path):
+    (_, made), state, shapes = two_and_four
+    candidates = fit_candidates(shapes[1], state.templates, state.covariances)
+    explained = Explanations(candidates, state.templates, state.covariances.unary)
+    faces = label_faces(shapes[1], blend(candidates), explained=explained)[0]
+    assert right_share(made[0], faces, "outer engine left") > 0.8
+    write_record(tmp_path / "fit.zarr.zip", state)
+    read = read_record(tmp_path / "fit.zarr.zip")[0]
+    for before, after in zip(state.beliefs, read.beliefs, strict=True):
+        np.testing.assert_array_equal(before.copies, after.copies)
+
+
+def test_two_engines_against_an_exemplar_with_four():
+    """Nothing else is taken for an engine, and both engines are."""
+    exemplar, shape = jets(True, 1)[0], jets(False, 1)[0]
+    state, shapes = fitted(exemplar, [shape])
+    faces = label_faces(shapes[1], state.beliefs[1], explained=explanations(state, 1))[0]
+    engine, area = shape.part_names.index("engine"), shape.mesh.face_areas
+    assert right_share(shape, faces, "engine left") > 0.8 and right_share(shape, faces, "engine right") > 0.8
+    assert area[(faces == engine) & (shape.faces != engine)].sum() < 0.01 * area.sum()
+
+
+def test_a_fifth_leg_is_a_leg():
+    made = [generate_one("chairs", i, seed=11, broken=0.0, classes=("side",)) for i in range(3)]
+    exemplar, five = made[0], []
+    for one in made[1:]:
+        tip = one.landmarks["leg_tip_front_left"]
+        five.append(with_copy(one, ["leg front left"], [-tip[0], 0, 0]))
+    state, shapes = fitted(exemplar, five)
+    for t, one in enumerate(five, 1):
+        faces = label_faces(shapes[t], state.beliefs[t], explained=explanations(state, t))[0]
+        for name in one.components:
+            if name.startswith("leg"):
+                assert right_share(one, faces, name) > 0.8, (t, name)
+
+
+def test_legs_that_rails_tie_together_are_components_each():
+    for index in range(40):
+        made = generate_one("chairs", index, seed=11, broken=0.0, classes=("side",))
+        if "stretcher left" in made.components:
+            break
+    shape, leg = prepared(made, 0), made.part_names.index("leg")
+    templates = template_from_exemplar(shape, made.faces, made.part_names)
+    mine = np.flatnonzero(templates.label == leg)
+    true = component_of_face(made)[shape.face_of_point]
+    owner = dict(zip(map(tuple, shape.points.tolist()), true.tolist(), strict=True))
+    names = np.array([owner[tuple(point)] for point in templates.points[mine].tolist()])
+    for number in np.unique(templates.component[mine]):
+        assert len(set(names[templates.component[mine] == number])) == 1
+    for name in ("leg front left", "leg rear right", "stretcher left"):
+        assert len(set(templates.component[mine][names == name])) == 1
+
+
+def test_components_come_and_go():
+    made = generate_one("chairs", 0, seed=11, broken=0.0, classes=("side",))
+    more = with_copy(made, ["leg front left"], [0.1, 0.0, 0.0])
+    assert set(more.components) - set(made.components) == {"leg front left again"}
+    here, there = (component_of_face(more) == name for name in ("leg front left", "leg front left again"))
+    assert here.sum() == there.sum() and (more.faces[there] == more.part_names.index("leg")).all()
+    np.testing.assert_allclose(more.mesh.face_centres[there], more.mesh.face_centres[here] + [0.1, 0, 0], atol=1e-9)
+    less = without_components(more, ["leg front left again", "back"])
+    assert set(less.components) == set(made.components) - {"back"} and len(less.faces) == less.mesh.n_faces
+    with pytest.raises(ValueError, match="got wheel"):
+        with_copy(made, ["wheel"], [0, 0, 0])
