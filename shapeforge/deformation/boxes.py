@@ -54,7 +54,7 @@ _WEIGHTS = np.array(
     + [0.25] * 6  # local PCA
 )
 # The boxes learn what matters; extents are half of what they are.
-_BOX_WEIGHTS = np.array([1.0] * 11 + [3**-0.5] * 3 + [0.4] + [0.25] * 6)
+BOX_WEIGHTS = np.array([1.0] * 11 + [3**-0.5] * 3 + [0.4] + [0.25] * 6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
         raise ValueError(f"n_parts: wanted at least 1, got {n_parts}")
     frames = common_frame(shapes, groups)
     normal, offset, _ = symmetry_plane(shapes[int(groups.exemplars[0])].points)
-    patches, pieces = _gathered(shapes, groups, frames, normal, offset)
+    patches, pieces = gathered(shapes, groups, frames, normal, offset)
     # One BLAS thread: sums must not depend on how many there are.
     with threadpool_limits(1):
         features = standardized(patches.views[0], patches.weight) * _WEIGHTS
@@ -113,7 +113,7 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
     return Proposal(segmentation, tuple(f"part {i + 1}" for i in range(n_parts)), energy, exemplars)
 
 
-def _gathered(
+def gathered(
     shapes: Any, groups: Groups, frames: list[Alignment], normal: np.ndarray, offset: float
 ) -> tuple[_Pieces, _Pieces]:
     """Patches (in the affine frame only) and pieces of all shapes (in the affine, the box's and the shape's own)."""
@@ -145,7 +145,7 @@ def _parts_of_pieces(
 ) -> tuple[np.ndarray, float]:
     """Part (n,) of every piece, numbered by falling weight, and the relative energy (see ``Proposal``)."""
     owner, weight = pieces.owner, pieces.weight
-    views = [standardized(view, weight) * _BOX_WEIGHTS for view in pieces.views]
+    views = [standardized(view, weight) * BOX_WEIGHTS for view in pieces.views]
     every = np.concatenate(views, axis=1) / np.sqrt(len(views))
     n_shapes = int(owner.max()) + 1
     taught = np.isin(owner, np.unique(np.linspace(0, n_shapes - 1, min(n_shapes, TAUGHT)).round().astype(np.int64)))
