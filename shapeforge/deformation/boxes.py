@@ -29,6 +29,7 @@ from shapeforge.deformation.pieces import box_frame, common_frame, find_pieces, 
 SURE = 0.7  # share of the probability that goes to the proposed part; the rest is spread evenly (Q(S) at the start)
 FEWEST, MOST = 2, 8  # parts that are tried when no number is given
 PART_COST = 0.006  # of the silhouette, for every part: among numbers that are about as good, rather the smaller
+TWO_LEAD = 0.05  # of the silhouette: two parts only if so much clearer; merging two is one step, missing one costs more
 STARTS = 10  # of the clustering; the best is kept
 SILHOUETTE_ROWS = 3000  # patches on which numbers of parts are compared
 TAUGHT = 60  # shapes that the boxes are learnt from; the pieces of the others follow like pieces of these
@@ -283,7 +284,10 @@ def cluster_patches(
 def choose_number(
     features: Float[np.ndarray, "n F"], weight: Float[np.ndarray, " n"], *, rng: np.random.Generator
 ) -> int:
-    """The number of parts from 2 to 8 with the best weighted silhouette less a small cost of every part."""
+    """The number of parts from 2 to 8 with the best weighted silhouette less a small cost of every part.
+
+    Two parts have to lead by ``TWO_LEAD``: one half against the other is nearly always clear, and seldom all there is.
+    """
     used = np.flatnonzero(weight > 0)
     if len(used) > SILHOUETTE_ROWS:
         used = np.sort(rng.choice(used, SILHOUETTE_ROWS, replace=False))
@@ -293,7 +297,8 @@ def choose_number(
         return 1
     distance = cdist(features, features)
     scores = [silhouette(distance, cluster_patches(features, weight, k, rng=rng)[0], weight) for k in tried]
-    return tried[int(np.argmax(np.array(scores) - PART_COST * np.array(tried)))]
+    number = np.array(tried)
+    return tried[int(np.argmax(np.array(scores) - PART_COST * number - TWO_LEAD * (number == 2)))]
 
 
 def silhouette(

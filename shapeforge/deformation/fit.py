@@ -50,6 +50,10 @@ ANNEALING = 0.87
 SETTLED = 5e-4
 """Mean movement of the deformed points (diagonals) in a round below which the fit stops, once σ1 is sharp."""
 
+SEED_WEIGHT, SEED_DECAY = 3.0, 0.8
+"""Power with which proposed label probabilities count beside the templates in the first round, and its factor a round.
+As a mere start they were forgotten in a round or two, and what all shapes had agreed on was lost on odd ones."""
+
 EXEMPLARS_PER_SHAPE = 3
 """Exemplars tried on every shape: its own group's and the next best by affine residual."""
 
@@ -110,7 +114,8 @@ def fit_templates(
     """Learn part templates from painted exemplars and fit them to every shape (§4, Algorithm 1).
 
     ``labels[t]`` are part indices per face record (-1: unpainted) of shape t; every group's exemplar needs some, unless
-    ``seeds`` gives label probabilities (P, L) of every shape (automatic start).  ``prior(t, g)`` is a Gaussian on D.
+    ``seeds`` gives label probabilities (P, L) of every shape (automatic start): the start of Q(S), and soft evidence
+    whose weight falls from round to round.  ``prior(t, g)`` is a Gaussian on D.
     ``resume`` goes on from a state that an earlier call yielded.  Yields the affine start and then one state a round.
 
     Raises ValueError when no exemplar has labels, FitDiverged (with the last good state) on non-finite numbers.
@@ -133,13 +138,13 @@ def fit_templates(
     else:
         state = replace(resume, of=rounds, stop_reason=None)
     while state.round < rounds:
-        state = _one_round(state, shapes, each_shape, groups, labels, rounds, inner, executor, prior)
+        state = _one_round(state, shapes, each_shape, groups, labels, seeds, rounds, inner, executor, prior)
         yield state
         if state.stop_reason is not None:
             return
 
 
-def _one_round(state, shapes, each_shape, groups, labels, rounds, inner, executor, prior) -> FitState:
+def _one_round(state, shapes, each_shape, groups, labels, seeds, rounds, inner, executor, prior) -> FitState:
     """One outer round of Algorithm 1: every shape, then Σ, then Y."""
     templates = state.templates
     owners = _template_of_group(groups, templates, shapes)
@@ -156,6 +161,7 @@ def _one_round(state, shapes, each_shape, groups, labels, rounds, inner, executo
         results = in_order(
             executor, _work_on_shape, each_shape(), [labels.get(t) for t in range(number)],
             repeat(shared(executor, templates)), state.candidates, repeat(state.covariances), repeat(inner), priors,
+            seeds if seeds is not None else repeat(None), repeat(SEED_WEIGHT * SEED_DECAY**state.round),
         )  # fmt: skip
         for t, (found, summaries, moved) in enumerate(results):
             candidates.append(found)
@@ -209,10 +215,11 @@ def _update_covariances(total: Summary, state: FitState) -> tuple[Covariances, f
 
 
 def _work_on_shape(
-    shape: Shape, faces, templates, candidates, covariances, inner, priors
+    shape: Shape, faces, templates, candidates, covariances, inner, priors, seed, seed_weight
 ) -> tuple[tuple[Candidate, ...], tuple[Summary, ...], float]:
     """One outer round on one shape: all its candidates, then their weights. A pure function of its arguments."""
-    problem = make_problem(shape, faces)
+    leaning = None if seed is None else seed_weight * np.log(np.asarray(seed, np.float64) + 1e-6)
+    problem = make_problem(shape, faces, leaning)
     prevalence = part_prevalence(templates)
     pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)
     done, sums, moves = [], [], []

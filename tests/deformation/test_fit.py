@@ -92,6 +92,40 @@ def test_side_chairs_have_no_arms_and_the_armchair_keeps_them(family, states):
     assert states[-1].beliefs[5].active[arm]
 
 
+def true_seeds(family) -> list[np.ndarray]:
+    """What a good proposal would say: .7 for the true part, the rest spread evenly."""
+    shapes, _, truth, names = family
+    labels = [faces[shape.face_of_point] for shape, faces in zip(shapes, truth, strict=True)]
+    return [0.7 * np.eye(len(names))[np.maximum(label, 0)] + 0.3 / len(names) for label in labels]
+
+
+def test_what_was_proposed_is_not_forgotten_after_the_start(family, monkeypatch):
+    shapes, groups, _, names = family
+    seeds = true_seeds(family)
+
+    def fit():
+        return list(fit_templates(shapes, groups, {}, names, seeds=seeds, rounds=4, rng=np.random.default_rng(0)))
+
+    ours = accuracy(family, fit())
+    monkeypatch.setattr("shapeforge.deformation.fit.SEED_WEIGHT", 0.0)
+    monkeypatch.setattr("shapeforge.deformation.existence.SEEDED", 1.0)
+    forgotten = accuracy(family, fit())
+    assert ours > 0.9 and ours > forgotten + 0.01
+
+
+def test_a_part_that_was_proposed_for_a_shape_stays(family):
+    """Side chairs lose the armchair's arms, but not one whose back was said to be arms."""
+    shapes, groups, _, names = family
+    seeds = true_seeds(family)
+    arm, back = names.index("arm"), names.index("back")
+    seeds[1] = seeds[1].copy()
+    seeds[1][:, [arm, back]] = seeds[1][:, [back, arm]]
+    found = list(fit_templates(shapes, groups, {}, names, seeds=seeds, rounds=8, rng=np.random.default_rng(0)))[-1]
+    knows = [template.has_part()[arm] for template in found.templates]
+    active = [[one.beliefs.active[arm] for one in tried if knows[one.beliefs.template]] for tried in found.candidates]
+    assert all(active[1]) and not any(any(active[t]) for t in (2, 3, 4))
+
+
 def test_painted_points_keep_their_label(family, states):
     shapes, _, truth, _ = family
     painted = truth[0][shapes[0].face_of_point]

@@ -155,9 +155,26 @@ def test_segmentation_equals_the_oracle_point_by_point():
     np.testing.assert_allclose(got, wanted, atol=1e-10)
 
 
+def test_a_leaning_multiplies_the_odds_and_painted_points_do_not_hear_it():
+    problem, templates, beliefs, covariances = toy(6)
+    candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
+    correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
+    leaning = np.random.default_rng(0).normal(scale=2.0, size=beliefs.segmentation.shape)
+    alone = np.zeros(len(problem.neighbour))  # φ5 left out
+    plain = update_segmentation(problem, correspondence, beliefs, alone).segmentation
+    leant = update_segmentation(replace(problem, leaning=leaning), correspondence, beliefs, alone).segmentation
+    wanted = plain * np.exp(leaning)
+    painted = problem.evidence >= 0
+    np.testing.assert_allclose(leant[~painted], (wanted / wanted.sum(axis=1, keepdims=True))[~painted], atol=1e-10)
+    np.testing.assert_array_equal(leant[painted], plain[painted])
+
+
+@pytest.mark.parametrize("leans", [False, True])
 @pytest.mark.parametrize("seed", range(6))
-def test_no_exact_update_raises_the_free_energy(seed):
+def test_no_exact_update_raises_the_free_energy(seed, leans):
     problem, templates, beliefs, covariances = toy(seed)
+    if leans:
+        problem = replace(problem, leaning=np.random.default_rng(seed).normal(size=beliefs.segmentation.shape))
     graph = pair_graph(templates.neighbours)
     candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
     correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
