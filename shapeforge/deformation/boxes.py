@@ -88,8 +88,8 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
     """Parts that the ``shapes`` (a sequence, lazy or not) share, told from nothing but their surfaces.
 
     ``n_parts`` is the number of parts; None chooses one from 2 to 8 by the silhouette of a clustering of the patches.
-    More parts than that are split off one by one, the most distinct first.  Parts are numbered from the largest.
-    Raises ValueError for no shapes or for ``n_parts`` below 1.
+    More parts than are clearest by it are split off one by one, the most distinct first.  Parts are numbered from the
+    largest.  Raises ValueError for no shapes or for ``n_parts`` below 1.
     """
     if len(shapes) == 0:
         raise ValueError("shapes: wanted at least one, got none; was anything imported?")
@@ -101,9 +101,9 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
     # One BLAS thread: sums must not depend on how many there are.
     with threadpool_limits(1):
         features = standardized(patches.views[0], patches.weight) * _WEIGHTS
-        natural = choose_number(features, patches.weight, rng=rng)
-        n_parts = natural if n_parts is None else n_parts
-        first = min(natural, n_parts)
+        clearest, number = choose_number(features, patches.weight, rng=rng)
+        n_parts = number if n_parts is None else n_parts
+        first = min(clearest, n_parts)
         of_patch = cluster_patches(features, patches.weight, first, rng=rng)[0]
         part, energy = _parts_of_pieces(pieces, patches, of_patch, first, n_parts, rng)
     parts = [part[pieces.owner == t][of_point] for t, of_point in enumerate(pieces.of_point)]
@@ -283,10 +283,11 @@ def cluster_patches(
 
 def choose_number(
     features: Float[np.ndarray, "n F"], weight: Float[np.ndarray, " n"], *, rng: np.random.Generator
-) -> int:
-    """The number of parts from 2 to 8 with the best weighted silhouette less a small cost of every part.
+) -> tuple[int, int]:
+    """The number of parts from 2 to 8 with the best weighted silhouette less a small cost of every part, and how many
+    there shall be when nobody says: the same, but that two have to lead by ``TWO_LEAD``.
 
-    Two parts have to lead by ``TWO_LEAD``: one half against the other is nearly always clear, and seldom all there is.
+    One half against the other is nearly always clear, and seldom all there is.
     """
     used = np.flatnonzero(weight > 0)
     if len(used) > SILHOUETTE_ROWS:
@@ -294,11 +295,12 @@ def choose_number(
     features, weight = features[used], weight[used]
     tried = range(FEWEST, min(MOST, len(np.unique(features, axis=0)) - 1) + 1)
     if len(tried) == 0:
-        return 1
+        return 1, 1
     distance = cdist(features, features)
     scores = [silhouette(distance, cluster_patches(features, weight, k, rng=rng)[0], weight) for k in tried]
     number = np.array(tried)
-    return tried[int(np.argmax(np.array(scores) - PART_COST * number - TWO_LEAD * (number == 2)))]
+    worth = np.array(scores) - PART_COST * number
+    return tried[int(worth.argmax())], tried[int((worth - TWO_LEAD * (number == FEWEST)).argmax())]
 
 
 def silhouette(
