@@ -215,7 +215,7 @@ def _update_covariances(total: Summary, state: FitState) -> tuple[Covariances, f
 
 
 def _work_on_shape(
-    shape: Shape, faces, templates, candidates, covariances, inner, priors, seed, seed_weight
+    shape: Shape, faces, templates, candidates, covariances, inner, priors, seed=None, seed_weight=0.0
 ) -> tuple[tuple[Candidate, ...], tuple[Summary, ...], float]:
     """One outer round on one shape: all its candidates, then their weights. A pure function of its arguments."""
     leaning = None if seed is None else seed_weight * np.log(np.asarray(seed, np.float64) + 1e-6)
