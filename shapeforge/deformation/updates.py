@@ -225,7 +225,8 @@ def update_maps(templates: PartTemplates, correspondence: Correspondence, belief
         y_mean, x_mean = (np.einsum("n,ni->i", weight, one) / total for one in (y, x))
         yc, xc = y - y_mean, x - x_mean
         second = np.einsum("n,ni,nj->ij", weight, yc, yc)
-        ridge = MAP_RIDGE * np.trace(second) / 3 * np.eye(3)
+        # all mass on one template point says nothing of the map: the ridge then keeps the last one
+        ridge = MAP_RIDGE * max(np.trace(second) / 3, 1e-9) * np.eye(3)
         cross = np.einsum("n,ni,nj->ij", weight, xc, yc)
         maps[part] = (cross + maps[part] @ ridge) @ np.linalg.inv(second + ridge)
         offsets[part] = x_mean - maps[part] @ y_mean

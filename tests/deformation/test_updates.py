@@ -279,3 +279,14 @@ def test_pairs_of_neighbours_are_symmetric_and_none_is_there_twice():
             wanted[p, other] = wanted[other, p] = True
     for p in range(40):
         assert (index[offsets[p] : offsets[p + 1]] == np.flatnonzero(wanted[p])).all()
+
+
+def test_a_part_whose_mass_is_on_one_point_keeps_its_map():
+    problem, templates, beliefs, covariances = toy(0)
+    candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
+    correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
+    mass = np.where(np.arange(templates.n_points) == np.flatnonzero(templates.label == 1)[0], 2.0, 0.0)
+    target = 2.0 * templates.points * (mass > 0)[:, None]
+    alone = replace(correspondence, mass=mass, first_moment=target)
+    got = update_maps(templates, alone, beliefs)
+    np.testing.assert_allclose(got.maps[1], beliefs.maps[1], atol=1e-9)
