@@ -152,13 +152,39 @@ def label(
 def cosegment(
     path: ProjectPath,
     parts: Annotated[int | None, typer.Option(min=2, help="Number of parts (default: found).")] = None,
+    merge: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Part B becomes part A (repeatable).")] = None,
+    split: Annotated[list[str] | None, typer.Option(metavar="A", help="Part A falls into two (repeatable).")] = None,
+    rename: Annotated[list[str] | None, typer.Option(metavar="A=B", help="Call part A B (repeatable).")] = None,
     seed: Seed = None,
     jobs: Jobs = None,
     restart: Restart = False,
     as_json: Json = False,
 ) -> None:
-    """Propose first parts automatically, instead of labels."""
-    run_stage(path, "cosegment", as_json, jobs=jobs, restart=restart, parts=parts, seed=seed)
+    """Propose first parts automatically, instead of labels; or merge, split and rename (in this order) those there are.
+
+    Edits add to those of earlier runs; another number of parts, another seed or --restart forgets these.
+    """
+    from shapeforge.stages_collection import edits_of
+    from shapeforge.store import Project
+
+    edits = [["merge", *_two(text, ",", "--merge")] for text in merge or ()]
+    edits += [["split", text.strip()] for text in split or ()]
+    edits += [["rename", *_two(text, "=", "--rename")] for text in rename or ()]
+    if edits and not restart:
+        given = {"parts": parts, "seed": seed}
+        edits = edits_of(Project.open(path), *edits, **{name: v for name, v in given.items() if v is not None})
+    run_stage(
+        path, "cosegment", as_json, jobs=jobs, restart=restart, parts=parts, seed=seed,
+        edits=edits if edits or restart else None,
+    )  # fmt: skip
+
+
+def _two(text: str, between: str, option: str) -> list[str]:
+    """The two names in ``text``; raises the command line's error for anything else."""
+    names = [name.strip() for name in text.split(between)]
+    if len(names) != 2 or not all(names):
+        raise typer.BadParameter(f"{option}: wanted two names with {between!r} between them, got {text!r}")
+    return names
 
 
 @app.command()

@@ -15,6 +15,7 @@ import numpy as np
 from shapeforge.collection.labels import LABELS_FILE, PartNames
 from shapeforge.stages import Progress, StageError, Task
 from shapeforge.stages_pose import settle_poses
+from shapeforge.stages_status import REVISION, options_of
 from shapeforge.store import Problem, Project, key_of
 from shapeforge.store_arrays import copy_file, read_record, write_record
 from shapeforge.store_results import write_names
@@ -350,25 +351,44 @@ def merged_part_names(present: PartNames | None, given: PartNames) -> PartNames:
 def cosegment(task: Task) -> Iterator[Progress]:
     """Propose parts for every shape without labels: label probabilities per point that the fit starts from.
 
-    The exemplar of a group is then one of its shapes with the most parts, unless exemplars were chosen by hand.
+    ``edits`` put them right afterwards (see ``proposed_edits``); parts are not sought again for that.  The exemplar of
+    a group is then one of its shapes with the most parts, unless exemplars were chosen by hand.
     """
     from shapeforge.deformation.boxes import propose_parts
+    from shapeforge.deformation.proposed_edits import edit_parts
 
-    project, folder = task.project, task.folder
+    project, folder, options = task.project, task.folder, task.options
     yield task.progress("propose", 0, 1, "looking for parts that many shapes share")
-    rng = np.random.default_rng(task.options["seed"])
-    proposal = propose_parts(project.shapes, project.groups, n_parts=task.options["parts"], rng=rng)
+    source = key_of(REVISION, options["parts"], options["seed"], task.inputs)
+    before = project.current_folder("cosegment")
+    if options["edits"] and before is not None and (before / f"found-{source}.zarr.zip").is_file() and not task.restart:
+        found = read_record(before / f"found-{source}.zarr.zip")[0]
+    else:
+        rng = np.random.default_rng(options["seed"])
+        found = propose_parts(project.shapes, project.groups, n_parts=options["parts"], rng=rng)
+    proposal = found
+    if options["edits"]:
+        rng = np.random.default_rng(options["seed"])
+        proposal = edit_parts(found, options["edits"], project.shapes, project.groups, rng=rng)
     chosen = (project.stage_record("group") or {}).get("options", {}).get("exemplars")
     if chosen and chosen not in ("auto", ["auto"]):
         proposal = replace(proposal, exemplars=project.groups.exemplars)
+    write_record(folder / f"found-{source}.zarr.zip", found)
     write_record(folder / "proposal.zarr.zip", proposal)
     write_names(folder / "names.zarr.zip", project.names)
     number = len(proposal.part_names)
     if not project.labelled:
         project.set_part_names(PartNames(tuple(range(number)), tuple(proposal.part_names)))
-    text = f"{number} parts proposed"
+    text = f"{number} parts proposed" if not options["edits"] else f"{number} parts: {', '.join(proposal.part_names)}"
     task.summary |= {"text": text, "parts": number, "energy": float(getattr(proposal, "energy", np.nan))}
+    task.summary["part_names"] = list(proposal.part_names)
     yield task.progress("propose", 1, 1, text, state=proposal)
+
+
+def edits_of(project: Project, *more: Sequence[str], **given: Any) -> list[list[str]]:
+    """The edits of the proposed parts that hold under the options ``given``, and ``more``: for the option ``edits``."""
+    kept = options_of("cosegment", project.stage_record("cosegment"), given)["edits"]
+    return [*kept, *(list(edit) for edit in more)]
 
 
 def read_proposal(project: Project) -> Any | None:

@@ -17,7 +17,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     "import": {"points": 5000, "up": "auto", "seed": 0},
     "group": {"exemplars": None, "seed": 0},
     "label": {},
-    "cosegment": {"parts": None, "seed": 0},
+    "cosegment": {"parts": None, "seed": 0, "edits": []},
     "fit": {"rounds": 10, "inner": 3, "seed": 0},
     "learn": {"epochs": None, "seed": 0},
     "refine": {"alternations": 3, "seed": 0},
@@ -64,6 +64,8 @@ class Status:
 def options_of(stage: str, record: Mapping[str, Any] | None, given: Mapping[str, Any]) -> dict[str, Any]:
     """Options as given, else as the last run had them, else the defaults; in JSON's types."""
     last = record["options"] if record else {}
+    if stage == "cosegment" and any(name in given and given[name] != last.get(name) for name in ("parts", "seed")):
+        last = {name: value for name, value in last.items() if name != "edits"}  # they were about other parts
     options = {name: given.get(name, last.get(name, default)) for name, default in DEFAULTS[stage].items()}
     return {name: list(value) if isinstance(value, tuple) else value for name, value in options.items()}
 

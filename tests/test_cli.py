@@ -323,3 +323,24 @@ def test_the_demo_runs_through(tmp_path: Path, capsys) -> None:
     found = json.loads(out.splitlines()[-1])
     assert len(list((tmp_path / "d" / "synthesized").glob("*.glb"))) >= 20
     assert found["validation"]["segmentation"]["n"] >= 1 and (tmp_path / "d" / "report.html").stat().st_size > 10_000
+
+
+def test_proposed_parts_are_merged_split_and_renamed(tmp_path: Path, folder: Path, capsys) -> None:
+    path = tmp_path / "p"
+    for line in (["import", path, folder / "family", "--points", 300], ["group", path], ["cosegment", path]):
+        status, _, err = run(capsys, *line, *(["--parts", 4] if line[0] == "cosegment" else []))
+        assert status == 0, err
+    status, out, err = run(capsys, "cosegment", path, "--merge", "part 1, part 2", "--rename", "part 3=back", "--json")
+    assert status == 0, err
+    assert json.loads(out.splitlines()[-1])["part_names"] == ["part 1", "back", "part 4"]
+    status, out, err = run(capsys, "cosegment", path, "--split", "part 1", "--json")
+    assert status == 0, err
+    assert json.loads(out.splitlines()[-1])["part_names"] == ["part 1", "back", "part 4", "part 5"]
+    status, _, err = run(capsys, "cosegment", path, "--merge", "back")
+    assert status != 0 and "wanted two names" in err
+    status, _, err = run(capsys, "cosegment", path, "--merge", "back,seat")
+    assert status != 0 and "wanted one of the parts" in err
+    assert Project.open(path).part_names.names == ("part 1", "back", "part 4", "part 5")
+    status, out, err = run(capsys, "cosegment", path, "--restart", "--json")
+    assert status == 0, err
+    assert json.loads(out.splitlines()[-1])["part_names"] == [f"part {i}" for i in range(1, 5)]

@@ -19,8 +19,8 @@ from shapeforge.collection.families import write_family
 from shapeforge.collection.iterate import last
 from shapeforge.deformation.hierarchy import Link
 from shapeforge.stages import Progress, StageError, next_step, run, status
-from shapeforge.stages_collection import merged_part_names
-from shapeforge.stages_model import on_template, starting_groups
+from shapeforge.stages_collection import edits_of, merged_part_names
+from shapeforge.stages_model import on_template, starting_groups, starting_parts
 from shapeforge.store import PartNames, Project
 from shapeforge.workers import Workers
 
@@ -370,3 +370,23 @@ def test_first_parts_bring_exemplars_unless_they_were_chosen_by_hand(tmp_path: P
     assert max(count) == 4
     automatic.set_labels("chair_0000", np.zeros(automatic.shape_record("chair_0000")["n_faces"], np.int32))
     assert starting_groups(automatic).exemplars.tolist() == groups.exemplars.tolist()
+
+
+def test_proposed_parts_are_put_right_without_being_sought_again(tmp_path: Path, grouped: Project, monkeypatch):
+    project = copy_of(grouped, tmp_path / "p")
+    first = last(run(project, "cosegment", parts=4)).state
+    with monkeypatch.context() as patch:
+        patch.setattr("shapeforge.deformation.boxes.propose_parts", None)
+        last(run(project, "cosegment", edits=edits_of(project, ["merge", "part 1", "part 3"])))
+        project = Project.open(project.path)
+        named = last(run(project, "cosegment", edits=edits_of(project, ["rename", "part 4", "arm"]))).state
+    assert named.part_names == project.part_names.names == ("part 1", "part 2", "arm")
+    before, after = (np.concatenate([s.argmax(axis=1) for s in one.segmentation]) for one in (first, named))
+    assert np.array_equal(after, np.array([0, 1, 0, 2])[before])
+    assert starting_parts(project)[1] == named.part_names
+    with pytest.raises(ValueError, match="got 'part 3'"):
+        last(run(project, "cosegment", edits=edits_of(project, ["split", "part 3"])))
+    assert edits_of(project) == [["merge", "part 1", "part 3"], ["rename", "part 4", "arm"]]
+    assert states(project)["cosegment"] == "done"
+    last(run(project, "cosegment", parts=3))  # other parts: the edits were about those before
+    assert edits_of(project) == [] and project.part_names.names == ("part 1", "part 2", "part 3")

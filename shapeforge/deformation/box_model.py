@@ -12,11 +12,11 @@ No single start or frame is best for every family, so many fits are made and agr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 from sklearn.cluster import KMeans
 
@@ -170,12 +170,8 @@ def split_most_distinct(
         rows = np.flatnonzero(part == one)
         if len(rows) < FEWEST_SPLIT:
             continue
-        for temper in (TEMPERS[0], TEMPERS[-1]):
-            # As if all were one shape: boxes that move would share what should be told apart.
-            still, counts = np.zeros(len(rows), np.int64), np.maximum(weight[rows], 1e-9) ** temper
-            half = fit_boxes(features[rows], still, counts, 2, rng=rng, least_spread=2 * LEAST_SPREAD).part
-            first = weight[rows[half == 0]].sum() > weight[rows[half == 1]].sum()
-            off, rest = (rows[half == 1], rows[half == 0]) if first else (rows[half == 0], rows[half == 1])
+        for smaller in _two_halves(features[rows], weight[rows], rng):
+            off, rest = rows[smaller], rows[~smaller]
             enough = len(off) >= FEWEST_OFF and weight[off].sum() >= LEAST_SHARE * weight.sum()
             where = np.unique(owner[off])
             if not enough or len(where) < min(2, len(np.unique(owner))):
@@ -189,6 +185,30 @@ def split_most_distinct(
     if chosen is not None:
         split[chosen] = int(part.max()) + 1
     return split
+
+
+def _two_halves(features: np.ndarray, weight: np.ndarray, rng: np.random.Generator) -> Iterator[np.ndarray]:
+    """Which rows (n,) are the smaller of two halves, by fits of two boxes, with small pieces counting more or less."""
+    for temper in (TEMPERS[0], TEMPERS[-1]):
+        # As if all were one shape: boxes that move would share what should be told apart.
+        still, counts = np.zeros(len(features), np.int64), np.maximum(weight, 1e-9) ** temper
+        half = fit_boxes(features, still, counts, 2, rng=rng, least_spread=2 * LEAST_SPREAD).part
+        yield half == (weight[half == 0].sum() > weight[half == 1].sum())
+
+
+def halves(
+    features: Float[np.ndarray, "n F"], weight: Float[np.ndarray, " n"], *, rng: np.random.Generator
+) -> Bool[np.ndarray, " n"] | None:
+    """Which pieces (n,) are the smaller of the most distinct halves; None where the pieces fall into no two."""
+    most, chosen = 0.0, None
+    if len(np.unique(features, axis=0)) < 2:
+        return None
+    for smaller in _two_halves(features, weight, rng):
+        if smaller.any() and not smaller.all():
+            distance = bhattacharyya(features[smaller], features[~smaller])
+            if distance > most:
+                most, chosen = distance, smaller
+    return chosen
 
 
 def bhattacharyya(one: Float[np.ndarray, "n F"], other: Float[np.ndarray, "m F"]) -> float:

@@ -29,6 +29,7 @@ from shapeforge.deformation.pieces import box_frame, common_frame, find_pieces, 
 SURE = 0.7  # share of the probability that goes to the proposed part; the rest is spread evenly (Q(S) at the start)
 FEWEST, MOST = 2, 8  # parts that are tried when no number is given
 PART_COST = 0.006  # of the silhouette, for every part: among numbers that are about as good, rather the smaller
+TWO_LEAD = 0.05  # of the silhouette: two parts only if so much clearer; merging two is one step, missing one costs more
 STARTS = 10  # of the clustering; the best is kept
 SILHOUETTE_ROWS = 3000  # patches on which numbers of parts are compared
 TAUGHT = 60  # shapes that the boxes are learnt from; the pieces of the others follow like pieces of these
@@ -54,7 +55,7 @@ _WEIGHTS = np.array(
     + [0.25] * 6  # local PCA
 )
 # The boxes learn what matters; extents are half of what they are.
-_BOX_WEIGHTS = np.array([1.0] * 11 + [3**-0.5] * 3 + [0.4] + [0.25] * 6)
+BOX_WEIGHTS = np.array([1.0] * 11 + [3**-0.5] * 3 + [0.4] + [0.25] * 6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +88,8 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
     """Parts that the ``shapes`` (a sequence, lazy or not) share, told from nothing but their surfaces.
 
     ``n_parts`` is the number of parts; None chooses one from 2 to 8 by the silhouette of a clustering of the patches.
-    More parts than that are split off one by one, the most distinct first.  Parts are numbered from the largest.
-    Raises ValueError for no shapes or for ``n_parts`` below 1.
+    More parts than are clearest by it are split off one by one, the most distinct first.  Parts are numbered from the
+    largest.  Raises ValueError for no shapes or for ``n_parts`` below 1.
     """
     if len(shapes) == 0:
         raise ValueError("shapes: wanted at least one, got none; was anything imported?")
@@ -96,13 +97,13 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
         raise ValueError(f"n_parts: wanted at least 1, got {n_parts}")
     frames = common_frame(shapes, groups)
     normal, offset, _ = symmetry_plane(shapes[int(groups.exemplars[0])].points)
-    patches, pieces = _gathered(shapes, groups, frames, normal, offset)
+    patches, pieces = gathered(shapes, groups, frames, normal, offset)
     # One BLAS thread: sums must not depend on how many there are.
     with threadpool_limits(1):
         features = standardized(patches.views[0], patches.weight) * _WEIGHTS
-        natural = choose_number(features, patches.weight, rng=rng)
-        n_parts = natural if n_parts is None else n_parts
-        first = min(natural, n_parts)
+        clearest, number = choose_number(features, patches.weight, rng=rng)
+        n_parts = number if n_parts is None else n_parts
+        first = min(clearest, n_parts)
         of_patch = cluster_patches(features, patches.weight, first, rng=rng)[0]
         part, energy = _parts_of_pieces(pieces, patches, of_patch, first, n_parts, rng)
     parts = [part[pieces.owner == t][of_point] for t, of_point in enumerate(pieces.of_point)]
@@ -113,7 +114,7 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
     return Proposal(segmentation, tuple(f"part {i + 1}" for i in range(n_parts)), energy, exemplars)
 
 
-def _gathered(
+def gathered(
     shapes: Any, groups: Groups, frames: list[Alignment], normal: np.ndarray, offset: float
 ) -> tuple[_Pieces, _Pieces]:
     """Patches (in the affine frame only) and pieces of all shapes (in the affine, the box's and the shape's own)."""
@@ -145,7 +146,7 @@ def _parts_of_pieces(
 ) -> tuple[np.ndarray, float]:
     """Part (n,) of every piece, numbered by falling weight, and the relative energy (see ``Proposal``)."""
     owner, weight = pieces.owner, pieces.weight
-    views = [standardized(view, weight) * _BOX_WEIGHTS for view in pieces.views]
+    views = [standardized(view, weight) * BOX_WEIGHTS for view in pieces.views]
     every = np.concatenate(views, axis=1) / np.sqrt(len(views))
     n_shapes = int(owner.max()) + 1
     taught = np.isin(owner, np.unique(np.linspace(0, n_shapes - 1, min(n_shapes, TAUGHT)).round().astype(np.int64)))
@@ -282,18 +283,24 @@ def cluster_patches(
 
 def choose_number(
     features: Float[np.ndarray, "n F"], weight: Float[np.ndarray, " n"], *, rng: np.random.Generator
-) -> int:
-    """The number of parts from 2 to 8 with the best weighted silhouette less a small cost of every part."""
+) -> tuple[int, int]:
+    """The number of parts from 2 to 8 with the best weighted silhouette less a small cost of every part, and how many
+    there shall be when nobody says: the same, but that two have to lead by ``TWO_LEAD``.
+
+    One half against the other is nearly always clear, and seldom all there is.
+    """
     used = np.flatnonzero(weight > 0)
     if len(used) > SILHOUETTE_ROWS:
         used = np.sort(rng.choice(used, SILHOUETTE_ROWS, replace=False))
     features, weight = features[used], weight[used]
     tried = range(FEWEST, min(MOST, len(np.unique(features, axis=0)) - 1) + 1)
     if len(tried) == 0:
-        return 1
+        return 1, 1
     distance = cdist(features, features)
     scores = [silhouette(distance, cluster_patches(features, weight, k, rng=rng)[0], weight) for k in tried]
-    return tried[int(np.argmax(np.array(scores) - PART_COST * np.array(tried)))]
+    number = np.array(tried)
+    worth = np.array(scores) - PART_COST * number
+    return tried[int(worth.argmax())], tried[int((worth - TWO_LEAD * (number == FEWEST)).argmax())]
 
 
 def silhouette(

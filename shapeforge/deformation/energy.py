@@ -40,6 +40,8 @@ def free_energy(
     total += 0.5 * n_points * float(np.log(2 * np.pi * covariances.unary).sum())
     total += 0.5 * n_points * DESCRIPTOR_WEIGHT * float(np.log(2 * np.pi * covariances.descriptor).sum())
     total += 0.5 * n_pairs * float(np.log(2 * np.pi * covariances.smooth).sum())
+    if problem.leaning is not None:
+        total -= float((problem.leaning * beliefs.segmentation).sum())
     return float(
         total + _kernels.energy_of_segmentation(problem.offsets, problem.neighbour, pull, beliefs.segmentation)
     )

@@ -119,15 +119,33 @@ def lenders(candidates: Sequence[Candidate]) -> dict[int, int]:
         lender = max(range(len(candidates)), key=lambda i: said[i][part])
         theirs = candidates[lender].beliefs
         own = theirs.segmentation[:, part].sum(dtype=np.float64)
-        odds = theirs.misfit[part] + (0.0 if np.isnan(best.misfit[part]) else best.misfit[part])
+        odds = _together(theirs, best)[part]
         if theirs.active[part] and said[lender][part] > LENT * own and not odds < LENT_ODDS:
             found[part] = lender
     return found
 
 
+def _together(one: Beliefs, other: Beliefs) -> Float[np.ndarray, " L"]:
+    """Log odds (L,) of the parts by both opinions; who was not asked has none, NaN where neither was."""
+    said = np.stack([one.misfit, other.misfit])
+    return np.where(np.isnan(said).all(axis=0), np.nan, np.nansum(said, axis=0))
+
+
 def believed_parts(candidates: Sequence[Candidate]) -> Bool[np.ndarray, " L"]:
-    """Parts (L,) that the shape has: those of the best candidate, and those lent to it."""
-    parts = best_of(candidates).beliefs.active.copy()
+    """Parts (L,) that the shape has: those of the best candidate, and those lent to it.
+
+    The family's templates bring every part of every exemplar to a shape: one that the best exemplar lacks must be as
+    likely there as one that is lent, unless it is painted.
+    """
+    best = best_of(candidates)
+    parts = best.beliefs.active.copy()
+    exemplars = [candidate for candidate in candidates if not candidate.family]
+    if best.family and exemplars:
+        lacking = best_of(exemplars).beliefs
+        odds = _together(best.beliefs, lacking)
+        parts &= lacking.active | ~(odds < LENT_ODDS) | np.isin(np.arange(len(parts)), best.beliefs.evidence)
+        if not parts.any():
+            parts = best.beliefs.active.copy()
     parts[list(lenders(candidates))] = True
     return parts
 

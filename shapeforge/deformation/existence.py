@@ -43,6 +43,9 @@ DOUBT = -2.0
 NEGLIGIBLE_SHARE = 0.05
 """Share of the surface claimed, relative to the part's share of the template, below which a part is off anyway."""
 
+SEEDED = 0.05
+"""Share of the surface from which a part that was proposed for a shape counts as there, as a painted one does."""
+
 Refit = Callable[[Beliefs], tuple[Beliefs, Candidates]]
 """Lets the beliefs settle for a few updates; returns them with the candidates that were used."""
 
@@ -87,6 +90,8 @@ def switch_off_missing(
         return beliefs
     favourite, loss, density = explained(problem, templates, candidates, beliefs, unary)
     painted = np.bincount(problem.evidence[problem.evidence >= 0], minlength=templates.n_parts) > 0
+    if problem.leaning is not None:
+        painted |= np.bincount(problem.leaning.argmax(axis=1), minlength=templates.n_parts) > SEEDED * len(favourite)
     own = np.bincount(templates.label, minlength=templates.n_parts) * beliefs.active
     supported = correspondence.mass > SUPPORTED * len(problem.points) / own.sum()
     # from samples to the surface between them: half their spacing says nothing

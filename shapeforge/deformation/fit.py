@@ -38,6 +38,10 @@ SETTLED = 5e-4
 EXEMPLARS_SHARE = 0.7
 """Share of the planned rounds that several exemplars get: the templates of the family bring their work to its end."""
 
+SEED_WEIGHT, SEED_DECAY = 3.0, 0.8
+"""Power with which proposed label probabilities count beside the templates in the first round, and its factor a round.
+As a mere start they were forgotten in a round or two, and what all shapes had agreed on was lost on odd ones."""
+
 EXEMPLARS_PER_SHAPE = 3
 """Exemplars tried on every shape: its own group's and the next best by affine residual."""
 
@@ -111,7 +115,8 @@ def fit_templates(
     """Learn part templates from painted exemplars and fit them to every shape (§4, Algorithm 1).
 
     ``labels[t]`` are part indices per face record (-1: unpainted) of shape t; every group's exemplar needs some, unless
-    ``seeds`` gives label probabilities (P, L) of every shape (automatic start).  ``prior(t, g)`` is a Gaussian on D.
+    ``seeds`` gives label probabilities (P, L) of every shape (automatic start): the start of Q(S), and soft evidence
+    whose weight falls from round to round.  ``prior(t, g)`` is a Gaussian on D.
     Several exemplars get only the first seven tenths of the ``rounds``, and are followed by ``family_rounds`` of the
     family's own templates (see ``family``; None: as many as ``rounds``, at most 8).  ``resume`` goes on from a state
     that an earlier call yielded; one whose fit is at its end is worked on further if ``rounds`` says so.  Yields the
@@ -142,7 +147,9 @@ def fit_templates(
         first = state.family_from if state.family_from >= 0 else exemplar_rounds(rounds)
         if state.family is None and state.round >= first and len(state.templates) > 1 and family_rounds > 0:
             state = _begin_family(state, shapes, each_shape, painted, executor)
-        state = _one_round(state, shapes, each_shape, groups, painted, rounds, family_rounds, inner, executor, prior)
+        state = _one_round(
+            state, shapes, each_shape, groups, painted, seeds, rounds, family_rounds, inner, executor, prior
+        )
         yield state
         if state.stop_reason is not None:
             return
@@ -174,7 +181,7 @@ def _begin_family(state: FitState, shapes, each_shape, painted, executor) -> Fit
 
 
 def _one_round(
-    state, shapes, each_shape, groups, painted, rounds, family_rounds, inner, executor, prior
+    state, shapes, each_shape, groups, painted, seeds, rounds, family_rounds, inner, executor, prior
 ) -> FitState:  # fmt: skip
     """One outer round of Algorithm 1: every shape, then Σ, then Y."""
     templates, of_family = state.templates, state.family is not None
@@ -194,6 +201,7 @@ def _one_round(
         results = in_order(
             executor, work_on_shape, each_shape(), painted, repeat(shared(executor, templates)), state.candidates,
             repeat(state.covariances), repeat(inner), priors, repeat(of_family),
+            seeds if seeds is not None else repeat(None), repeat(SEED_WEIGHT * SEED_DECAY**state.round),
         )  # fmt: skip
         for t, worked in enumerate(results):
             trial_is_over = in_family >= family.TRIAL_ROUNDS

@@ -52,12 +52,16 @@ def work_on_shape(
     inner: int,
     priors: Mapping[int, tuple[np.ndarray, np.ndarray]] | None,
     family: bool,
+    seed: np.ndarray | None = None,
+    seed_weight: float = 0.0,
 ) -> Worked:
     """One outer round on one shape: the exemplars' candidates, or those of the family's own templates; all weights.
 
+    Proposed label probabilities ``seed`` (P, L) count as soft evidence, with the power ``seed_weight``.
     Raises FloatingPointError with the shape's name on numbers that are not finite.
     """
-    problem = make_problem(shape, faces)
+    leaning = None if seed is None else seed_weight * np.log(np.asarray(seed, np.float64) + 1e-6)
+    problem = make_problem(shape, faces, leaning)
     prevalence = part_prevalence(templates[: len(templates) - family])
     pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)
     done, sums, moves = [], [], []

@@ -31,7 +31,10 @@ class GaussianOnDeformation(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One shape as the updates see it: contiguous arrays, the symmetric neighbourhood graph, painted evidence."""
+    """One shape as the updates see it: contiguous arrays, the symmetric neighbourhood graph, painted evidence.
+
+    ``leaning`` (nats per point and part) is soft evidence: what was known of the labels before the fit, if anything.
+    """
 
     points: Float[np.ndarray, "P 3"]
     normals: Float[np.ndarray, "P 3"]
@@ -39,6 +42,7 @@ class Problem:
     offsets: Int[np.ndarray, " P1"]
     neighbour: Int[np.ndarray, " M"]
     evidence: Int[np.ndarray, " P"]
+    leaning: Float[np.ndarray, "P L"] | None = None
 
     @cached_property
     def spacing(self) -> float:
@@ -70,7 +74,7 @@ class Correspondence:
     first_moment: Float[np.ndarray, "K 3"]
 
 
-def make_problem(shape: Shape, faces: np.ndarray | None = None) -> Problem:
+def make_problem(shape: Shape, faces: np.ndarray | None = None, leaning: np.ndarray | None = None) -> Problem:
     """Arrays of a shape for the updates; ``faces`` are painted part labels per face record (-1: not painted)."""
     offsets, neighbour = pair_graph(shape.neighbours)
     evidence = np.full(shape.n_points, -1, np.int32)
@@ -79,6 +83,7 @@ def make_problem(shape: Shape, faces: np.ndarray | None = None) -> Problem:
     return Problem(
         np.ascontiguousarray(shape.points, np.float64), np.ascontiguousarray(shape.normals, np.float64),
         np.ascontiguousarray(shape.descriptors, np.float64), offsets, neighbour, evidence,
+        leaning,
     )  # fmt: skip
 
 
@@ -161,8 +166,11 @@ def update_segmentation(
     ``pull`` is φ5's logit Φ of every pair (``factors.attraction``).
     """
     segmentation = beliefs.segmentation.copy()
+    share = correspondence.part_share
+    if problem.leaning is not None:  # φ4 is ln ε times the share of the other parts: a leaning adds to the own share
+        share = share - problem.leaning / LOG_EPSILON
     _kernels.segment(
-        correspondence.part_share, problem.offsets, problem.neighbour, pull, LOG_EPSILON, beliefs.active,
+        share, problem.offsets, problem.neighbour, pull, LOG_EPSILON, beliefs.active,
         problem.evidence, sweeps, segmentation,
     )  # fmt: skip
     return replace(beliefs, segmentation=segmentation)
@@ -217,9 +225,10 @@ def update_maps(templates: PartTemplates, correspondence: Correspondence, belief
         y_mean, x_mean = (np.einsum("n,ni->i", weight, one) / total for one in (y, x))
         yc, xc = y - y_mean, x - x_mean
         second = np.einsum("n,ni,nj->ij", weight, yc, yc)
-        ridge = MAP_RIDGE * np.trace(second) / 3 * np.eye(3)
+        # all mass on one template point says nothing of the map: the ridge then keeps the last one
+        ridge = MAP_RIDGE * max(np.trace(second) / 3, 1e-9) * np.eye(3)
         cross = np.einsum("n,ni,nj->ij", weight, xc, yc)
-        maps[part] = (cross + maps[part] @ ridge) @ np.linalg.inv(second + ridge + 1e-9 * np.eye(3))
+        maps[part] = (cross + maps[part] @ ridge) @ np.linalg.inv(second + ridge)
         offsets[part] = x_mean - maps[part] @ y_mean
     return replace(beliefs, maps=maps, offsets=offsets)
 

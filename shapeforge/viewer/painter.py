@@ -8,9 +8,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from shapeforge.collection.iterate import last
 from shapeforge.collection.labels import UNLABELLED, PartNames
 from shapeforge.viewer import brushes
 from shapeforge.viewer.display import Mark, MeshLayer, View, face_colours
+from shapeforge.viewer.first_parts import are_proposed, edit_proposed
 from shapeforge.viewer.painting import PaintState, paint_state
 from shapeforge.viewer.session import Session
 
@@ -104,6 +106,11 @@ class Painter:
 
     # ---- parts ---------------------------------------------------------------------------------------------------
 
+    @property
+    def _are_proposed(self) -> bool:
+        """The parts are proposed ones, and nothing is painted here that is not saved yet."""
+        return are_proposed(self.session) and not (self.state.labels >= 0).any()
+
     def add_part(self, name: str) -> int:
         """Add a part to the family; returns its index.  Raises ValueError when the name is empty or taken."""
         named = self.session.project.part_names or PartNames((), ())
@@ -117,6 +124,9 @@ class Painter:
         named = self.session.project.part_names
         names = list(named.names)
         names[part] = self._free_name(name, part)
+        if self._are_proposed:
+            last(edit_proposed(self.session, "rename", named.names[part], names[part]))
+            return
         self.session.project.set_part_names(PartNames(named.ids, tuple(names)))
 
     def _free_name(self, name: str, but: int | None) -> str:
@@ -130,6 +140,10 @@ class Painter:
         """Everything labelled ``gone`` becomes ``kept`` and ``gone`` leaves the list, on every shape of the family."""
         project = self.session.project
         named = project.part_names
+        if self._are_proposed:
+            last(edit_proposed(self.session, "merge", named.names[kept], named.names[gone]))
+            self.hidden, self.session.part = frozenset(), kept - (kept > gone)
+            return
         new_index = {i: i - (i > gone) for i in range(len(named))}
         new_index[gone] = new_index[kept]
         self.state.end()

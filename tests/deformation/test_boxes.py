@@ -18,6 +18,7 @@ from shapeforge.collection.prepare import prepare_shape
 from shapeforge.collection.shape import Frame, Mesh, Shape
 from shapeforge.deformation.boxes import (
     SURE,
+    TWO_LEAD,
     choose_number,
     cluster_patches,
     propose_parts,
@@ -136,7 +137,18 @@ def test_number_is_that_of_clear_clusters():
     for k in (2, 4, 6):
         centres = 10 * np.array(list(permutations(range(3))))[:k]
         features = np.repeat(centres, 20, axis=0) + rng.normal(size=(20 * k, 3))
-        assert choose_number(features, rng.random(20 * k) + 0.1, rng=rng) == k
+        assert choose_number(features, rng.random(20 * k) + 0.1, rng=rng) == (k, k)
+
+
+def test_two_parts_have_to_be_clearly_better_than_three():
+    """Two clusters near each other and one far off: by the silhouette alone it would be two."""
+    rng = np.random.default_rng(0)
+    places = np.array([0.0, 2.3, 9.0]).repeat(20)[:, None] + rng.normal(scale=0.5, size=(60, 1))
+    weight = np.ones(60)
+    distance = np.abs(places - places.T)
+    two, three = (silhouette(distance, cluster_patches(places, weight, k, rng=rng)[0], weight) for k in (2, 3))
+    assert three < two < three + TWO_LEAD
+    assert choose_number(places, weight, rng=rng) == (2, 3)
 
 
 def test_clusters_are_numbered_by_weight_and_ignore_empty_patches():

@@ -15,7 +15,7 @@ from shapeforge.collection.families import generate
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.prepare import prepare_shape
 from shapeforge.deformation.apply import fit_candidates
-from shapeforge.deformation.exemplars import blend
+from shapeforge.deformation.exemplars import believed_parts, blend
 from shapeforge.deformation.faces import explanations, face_probabilities, label_faces, template_probabilities
 from shapeforge.deformation.fit import FitDiverged, fit_templates
 from shapeforge.deformation.hierarchy import corresponding_points
@@ -93,6 +93,38 @@ def test_side_chairs_have_no_arms_and_the_armchair_keeps_them(family, states):
         assert not states[-1].beliefs[t].active[arm]
         assert states[-1].beliefs[t].segmentation[:, arm].max() < 0.5
     assert states[-1].beliefs[5].active[arm]
+
+
+def true_seeds(family) -> list[np.ndarray]:
+    """What a good proposal would say: .7 for the true part, the rest spread evenly."""
+    shapes, _, truth, names = family
+    labels = [faces[shape.face_of_point] for shape, faces in zip(shapes, truth, strict=True)]
+    return [0.7 * np.eye(len(names))[np.maximum(label, 0)] + 0.3 / len(names) for label in labels]
+
+
+def test_what_was_proposed_is_not_forgotten_after_the_start(family, monkeypatch):
+    shapes, groups, _, names = family
+    seeds = true_seeds(family)
+
+    def fit():
+        return list(fit_templates(shapes, groups, {}, names, seeds=seeds, rounds=4, rng=np.random.default_rng(0)))
+
+    ours = accuracy(family, fit())
+    monkeypatch.setattr("shapeforge.deformation.fit.SEED_WEIGHT", 0.0)
+    monkeypatch.setattr("shapeforge.deformation.existence.SEEDED", 1.0)
+    forgotten = accuracy(family, fit())
+    assert ours > 0.9 and ours > forgotten + 0.01
+
+
+def test_a_part_that_was_proposed_for_a_shape_stays(family):
+    """Side chairs lose the armchair's arms, but not one whose back was said to be arms."""
+    shapes, groups, _, names = family
+    seeds = true_seeds(family)
+    arm, back = names.index("arm"), names.index("back")
+    seeds[1] = seeds[1].copy()
+    seeds[1][:, [arm, back]] = seeds[1][:, [back, arm]]
+    found = list(fit_templates(shapes, groups, {}, names, seeds=seeds, rng=np.random.default_rng(0)))[-1]
+    assert [bool(believed_parts(tried)[arm]) for tried in found.candidates[1:5]] == [True, False, False, False]
 
 
 def test_painted_points_keep_their_label(family, states):

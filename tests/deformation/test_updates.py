@@ -155,9 +155,26 @@ def test_segmentation_equals_the_oracle_point_by_point():
     np.testing.assert_allclose(got, wanted, atol=1e-10)
 
 
+def test_a_leaning_multiplies_the_odds_and_painted_points_do_not_hear_it():
+    problem, templates, beliefs, covariances = toy(6)
+    candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
+    correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
+    leaning = np.random.default_rng(0).normal(scale=2.0, size=beliefs.segmentation.shape)
+    alone = np.zeros(len(problem.neighbour))  # φ5 left out
+    plain = update_segmentation(problem, correspondence, beliefs, alone).segmentation
+    leant = update_segmentation(replace(problem, leaning=leaning), correspondence, beliefs, alone).segmentation
+    wanted = plain * np.exp(leaning)
+    painted = problem.evidence >= 0
+    np.testing.assert_allclose(leant[~painted], (wanted / wanted.sum(axis=1, keepdims=True))[~painted], atol=1e-10)
+    np.testing.assert_array_equal(leant[painted], plain[painted])
+
+
+@pytest.mark.parametrize("leans", [False, True])
 @pytest.mark.parametrize("seed", range(6))
-def test_no_exact_update_raises_the_free_energy(seed):
+def test_no_exact_update_raises_the_free_energy(seed, leans):
     problem, templates, beliefs, covariances = toy(seed)
+    if leans:
+        problem = replace(problem, leaning=np.random.default_rng(seed).normal(size=beliefs.segmentation.shape))
     graph = pair_graph(templates.neighbours)
     candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
     correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
@@ -262,3 +279,14 @@ def test_pairs_of_neighbours_are_symmetric_and_none_is_there_twice():
             wanted[p, other] = wanted[other, p] = True
     for p in range(40):
         assert (index[offsets[p] : offsets[p + 1]] == np.flatnonzero(wanted[p])).all()
+
+
+def test_a_part_whose_mass_is_on_one_point_keeps_its_map():
+    problem, templates, beliefs, covariances = toy(0)
+    candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
+    correspondence = update_correspondences(problem, templates, candidates, beliefs, covariances.unary)
+    mass = np.where(np.arange(templates.n_points) == np.flatnonzero(templates.label == 1)[0], 2.0, 0.0)
+    target = 2.0 * templates.points * (mass > 0)[:, None]
+    alone = replace(correspondence, mass=mass, first_moment=target)
+    got = update_maps(templates, alone, beliefs)
+    np.testing.assert_allclose(got.maps[1], beliefs.maps[1], atol=1e-9)

@@ -1,0 +1,61 @@
+"""Proposed parts are put right in the window as painted ones are, on all shapes at once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from shapeforge.collection.iterate import last
+from shapeforge.stages_collection import read_proposal
+from shapeforge.store import Project
+from shapeforge.viewer.first_parts import can_edit_proposed, edit_proposed, take_back_edit
+from shapeforge.viewer.painter import Painter
+from shapeforge.viewer.session import Session
+from tests.viewer.conftest import run_stage
+
+
+@pytest.fixture
+def proposed(grouped: Project) -> Session:
+    run_stage(grouped, "cosegment", parts=4)
+    session = Session()
+    session.open(grouped)
+    return session
+
+
+def names(session: Session) -> tuple[str, ...]:
+    shown, proposed = session.project.part_names.names, tuple(read_proposal(session.project).part_names)
+    assert shown == proposed
+    return proposed
+
+
+def test_the_palette_renames_and_merges_what_the_fit_will_start_from(proposed: Session):
+    painter = Painter(proposed)
+    painter.rename_part(1, "seat")
+    assert names(proposed) == ("part 1", "seat", "part 3", "part 4")
+    before = [one.argmax(axis=1) for one in read_proposal(proposed.project).segmentation]
+    painter.merge_parts(3, 0)
+    assert names(proposed) == ("seat", "part 3", "part 4") and proposed.part == 2
+    after = [one.argmax(axis=1) for one in read_proposal(proposed.project).segmentation]
+    assert all(np.array_equal(np.array([2, 0, 1, 2])[b], a) for b, a in zip(before, after, strict=True))
+    with pytest.raises(ValueError, match="taken"):
+        painter.rename_part(0, "part 4")
+
+
+def test_an_edit_is_taken_back_and_a_split_adds_a_part(proposed: Session):
+    assert can_edit_proposed(proposed) == (True, "")
+    first = read_proposal(proposed.project).segmentation
+    last(edit_proposed(proposed, "split", "part 1"))
+    assert names(proposed) == ("part 1", "part 2", "part 3", "part 4", "part 5")
+    assert any((one.argmax(axis=1) == 4).any() for one in read_proposal(proposed.project).segmentation)
+    last(take_back_edit(proposed))
+    assert names(proposed) == ("part 1", "part 2", "part 3", "part 4")
+    again = read_proposal(proposed.project).segmentation
+    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+
+
+def test_painted_parts_are_no_longer_proposed_ones(proposed: Session):
+    project = proposed.project
+    name = project.names[0]
+    project.set_labels(name, np.zeros(project.shape_record(name)["n_faces"], np.int32))
+    can, why = can_edit_proposed(proposed)
+    assert not can and "painted" in why
