@@ -13,9 +13,10 @@ from shapeforge.viewer.actions import Action, Actions, group_of, groups_of
 from shapeforge.viewer.display import Caption, Display, grid_of
 from shapeforge.viewer.fit_display import (
     FULL_HEAT,
+    UNTURNED,
     MeshLayer,
+    all_points,
     mesh_layer,
-    point_colours,
     probable_layer,
     template_view,
     three_views,
@@ -23,9 +24,11 @@ from shapeforge.viewer.fit_display import (
 from shapeforge.viewer.fit_record import WATCHED_AT_MOST, FitRecord, look_at, moved_text
 from shapeforge.viewer.palette import SWITCHED_OFF, part_colours, tokens
 from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.fit_keys import fit_actions
 from shapeforge.viewer.qt.fit_report import FitReport
 from shapeforge.viewer.qt.fit_widgets import AlsoWatching, Scrubber, draw_points
 from shapeforge.viewer.qt.icons import refresh, set_icon
+from shapeforge.viewer.qt.stale_note import stale_note
 from shapeforge.viewer.qt.theme import PADDING
 from shapeforge.viewer.qt.widgets import (
     Choice,
@@ -42,11 +45,14 @@ from shapeforge.viewer.qt.widgets import (
     separator,
     set_style,
 )
-from shapeforge.viewer.readiness import stage_status
+from shapeforge.viewer.readiness import QUALITIES, chosen_quality, other_quality, stage_status
 from shapeforge.viewer.runner import duration
 from shapeforge.viewer.session import Session
 
 LEGEND_AT_MOST = 12
+_QUALITY = {
+    "draft": "a first look", "normal": "good enough for most families", "fine": "until hardly anything moves any more"
+}  # fmt: skip
 
 
 class FitPlace:
@@ -63,6 +69,8 @@ class FitPlace:
             Action("correct", "Correct by painting", self._correct, self._can_correct, "C",
                    "Paint the shape; the next fit takes it as evidence", "paint", "fit")
         )  # fmt: skip
+        for action in fit_actions(self):
+            actions.add(action)
         self.view = view_factory()
         self.toolbar_widget = self._make_tools()
         self.centre = self._make_centre()
@@ -76,7 +84,9 @@ class FitPlace:
         self.binding.on(("progress",), self._take_progress)
         self.binding.on(("shape", "round", "data", "theme", "watched"), self._show_soon, now=False)
         self.binding.on(
-            ("running", "is_paused", "progress", "status", "shape", "data", "theme"), self._show_run, now=False
+            ("running", "is_paused", "progress", "status", "shape", "data", "theme", "quality"),
+            self._show_run,
+            now=False,
         )
 
     def enter(self) -> None:
@@ -105,9 +115,19 @@ class FitPlace:
         self.watch = Choice("Watch", [], "", tooltip="Which shape to look at")
         self.watch.chosen.connect(self._watch)
         self.mode = Segments([("one", "One shape", ""), ("grid", "Grid", "")], "one")
+        for mode, says in (("one", "Input, template and parts of one shape"), ("grid", "The watched shapes at once")):
+            self.mode.button(mode).setToolTip(says)
         self.mode.chosen.connect(lambda _: self._show_soon())
-        self.by = Choice("Colour by", [("part", "part"), ("movement", "movement")], "part")
+        self.by = Choice(
+            "Colour by",
+            [("part", "part"), ("movement", "movement")],
+            "part",
+            tooltip="The part of each template point, or how far it moved in this round",
+        )
         self.by.chosen.connect(lambda _: self._show_soon())
+        self.quality_text = label("Quality", "text2")
+        self.quality = Segments([(name, name.capitalize(), "") for name in QUALITIES], "")
+        self.quality.chosen.connect(lambda value: setattr(self.session, "quality", value))
         self.home = button(icon="home", kind="tool", tooltip="Show all of the shape")
         self.home.clicked.connect(lambda: self.view.fit())
         self.linked = button(icon="link", kind="tool", checkable=True, tooltip="Turn the small pictures along")
@@ -115,7 +135,18 @@ class FitPlace:
         self.linked.toggled.connect(lambda on: setattr(self.session, "linked", on))
         self.linked.toggled.connect(lambda _: self._camera_moved())
         return framed(
-            row(self.watch, self.mode, self.by, None, self.home, self.linked, margins=(PADDING, 0, PADDING, 0))
+            row(
+                self.watch,
+                self.mode,
+                self.by,
+                None,
+                label("Quality", "text2"),
+                self.quality,
+                4,
+                self.home,
+                self.linked,
+                margins=(PADDING, 0, PADDING, 0),
+            )
         )
 
     def _make_centre(self) -> QWidget:
@@ -135,7 +166,8 @@ class FitPlace:
         self.heads_widget.setLayout(self.head_row)
         self.legend = row(spacing=6, margins=(12, 0, 12, 0))
         legend_bar = framed(self.legend, "view_foot", height=30)
-        self.also_watching = AlsoWatching()
+        self.watch_it = action_button(self.actions, "watch_it", self.binding, kind="tool", text="")
+        self.also_watching = AlsoWatching(self.watch_it)
         self.also_watching.sort.chosen.connect(lambda _: self._show_soon())
         self.also_watching.clicked.connect(self._watch)
         result = QWidget()
@@ -149,7 +181,8 @@ class FitPlace:
         return result
 
     def _make_inspector(self) -> QWidget:
-        self.report = FitReport()
+        stale = stale_note(self.actions, self.binding, "fit", "fit", "Run it again")
+        self.report = FitReport(stale)
         self.report.watch.connect(self._watch_all)
         self.report.override.connect(self._override)
         self.correct = action_button(self.actions, "correct", self.binding)
@@ -178,7 +211,7 @@ class FitPlace:
         holder.setFixedWidth(264)
         holder.setLayout(left)
         self.scrubber = Scrubber()
-        self.scrubber.moved.connect(self._look_back)
+        self.scrubber.moved.connect(self.look_back)
         result = QWidget()
         box = row(holder, spacing=8, margins=(0, 0, 8, 0))
         box.addWidget(self.scrubber, 1)
@@ -224,10 +257,11 @@ class FitPlace:
             self._pictures.clear()
             self._show_soon()
 
-    def _look_back(self, number: int) -> None:
+    def look_back(self, number: int) -> None:
+        """Look at a recorded round."""
         self.session.round = None if self.record is None or number == self.record.newest else number
 
-    def _number(self) -> int:
+    def number(self) -> int:
         """The round looked at."""
         newest = self.record.newest if self.record is not None else -1
         return newest if self.session.round is None else min(self.session.round, newest)
@@ -246,8 +280,8 @@ class FitPlace:
         self._show_tools()
         self._show_views()
         self._show_legend()
-        self.also_watching.show_shapes(self.record, self.session, self._number(), self._direction())
-        self.report.show_fit(self.record, self.session, self._number())
+        self.also_watching.show_shapes(self.record, self.session, self.number(), self._direction())
+        self.report.show_fit(self.record, self.session, self.number())
         self._show_scrubber()
         refresh(self.inspector, self.session.theme)
 
@@ -262,16 +296,18 @@ class FitPlace:
     def _layer(self, name: str, kind: str) -> MeshLayer:
         """A mesh layer that keeps its identity, so that an unchanged view is not drawn again."""
         number = self.record.newest if kind == "parts" else 0
-        stamp = (name, kind, self.session.theme, number, self.session.revision)
+        points = self.record.points(name, self.number())
+        turn = UNTURNED if points is None else points.turn
+        stamp = (name, kind, self.session.theme, number, self.session.revision, turn.tobytes())
         if stamp not in self._layers:
             if len(self._layers) > 60:
                 self._layers.clear()
             shape = self.session.project.shapes.named(name)
             if kind == "parts":
-                self._layers[stamp] = probable_layer(shape, self._probabilities(name, shape))
+                self._layers[stamp] = probable_layer(shape, self._probabilities(name, shape), turn)
             else:
                 colour = tokens(self.session.theme)["shape"]
-                self._layers[stamp] = mesh_layer(shape, colour, 1.0 if kind == "plain" else 0.16, kind)
+                self._layers[stamp] = mesh_layer(shape, colour, 1.0 if kind == "plain" else 0.16, kind, turn)
         return self._layers[stamp]
 
     def _probabilities(self, name: str, shape: object) -> np.ndarray:
@@ -284,7 +320,7 @@ class FitPlace:
         return face_probabilities(shape, self.record.beliefs(name))
 
     def _show_views(self) -> None:
-        session, number = self.session, self._number()
+        session, number = self.session, self.number()
         if session.shape is None:
             return
         one = self.mode.button("one").isChecked()
@@ -305,14 +341,16 @@ class FitPlace:
         self.view.display(display, fit=first)
         self.view.fit_if_cut()
         shape = session.project.shapes.named(name)
-        self.heads[0][1].setText(f"{name}, {grouped(shape.n_points)} points")
+        turned = ", turned as the family lies" if now is not None and not np.array_equal(now.turn, UNTURNED) else ""
+        self.heads[0][1].setText(f"{name}, {grouped(shape.n_points)} points{turned}")
         if now is None:
             self.heads[1][1].setText("not fitted yet")
             self.heads[2][1].setText("after the fit")
         else:
             source = f" from {look.source}" if look is not None and look.source else ""
             self.heads[1][1].setText(f"{now.template + 1} of {len(self.record.looks)}{source}")
-            self.heads[2][1].setText("pale = unsure")
+            old = number < self.record.newest
+            self.heads[2][1].setText(f"of round {self.record.newest}, pale = unsure" if old else "pale = unsure")
 
     def _grid(self, number: int) -> Display:
         names = tuple(dict.fromkeys((self.session.shape, *self.session.watched)))[: WATCHED_AT_MOST + 1]
@@ -344,9 +382,9 @@ class FitPlace:
                 self.legend.addSpacing(6)
             self.legend.addWidget(Swatch(SWITCHED_OFF, size=8, disc=True))
             self.legend.addWidget(label("switched off", "caption"))
-            if self._number() > 0:
+            if self.number() > 0:
                 self.legend.addSpacing(6)
-                self.legend.addWidget(label(f"—  moved since round {self._number() - 1}", "caption"))
+                self.legend.addWidget(label(f"—  moved since round {self.number() - 1}", "caption"))
         else:
             said = "Run the fit: the templates of the painted exemplars find their way to every shape."
             self.legend.addWidget(label(said, "caption"))
@@ -364,7 +402,7 @@ class FitPlace:
             one.look_from(self._direction())
 
     def _show_scrubber(self) -> None:
-        name, number = self.session.shape, self._number()
+        name, number = self.session.shape, self.number()
         pictures: dict[int, QImage] = {}
         for n in range(self.record.newest + 1):
             points = self.record.points(name, n) if name else None
@@ -373,8 +411,7 @@ class FitPlace:
                 continue
             stamp = (name, n)
             if stamp not in self._pictures:
-                inks = point_colours(look, points, "part")
-                self._pictures[stamp] = draw_points(points.positions, inks, (76, 80), (1.0, 0.6, 1.5), 2)
+                self._pictures[stamp] = draw_points(*all_points(look, points), (76, 80), (1.0, 0.6, 1.5), 2)
             pictures[n] = self._pictures[stamp]
         self.scrubber.set_state(self.record.planned, self.record.newest, number, 0.0, pictures)
 
@@ -385,12 +422,13 @@ class FitPlace:
         mine = session.running and session.stage == "fit"
         done = not session.running and stage_status(session).get("fit")
         finished = bool(done) and done.state == "done"
-        going_on = bool(done) and done.state == "partial"
+        going_on = bool(done) and done.state == "partial" and not other_quality(session)
         words = "Resume" if mine and session.is_paused else "Pause" if mine else "Go on" if going_on else "Run"
         self.run.setText(words if not finished else "Run again")
         set_style(self.run, "kind", "" if finished else "primary")
         set_icon(self.run, "pause" if mine and not session.is_paused else "play", "text_2" if finished else "on_accent")
         self.next.setVisible(finished)
+        self._show_quality()
         self.correct.setText(f"Correct {session.shape} by painting" if session.shape else "Correct by painting")
         can, why = self._can_correct(session)
         self.correct_text.setText("The next fit takes it as evidence." if can else why)
@@ -401,6 +439,18 @@ class FitPlace:
             f"· {duration(left)} left" if left is not None else "· paused" if mine and session.is_paused else ""
         )
         self.phase_text.setText(self._phase(mine, finished))
+
+    def _show_quality(self) -> None:
+        session = self.session
+        chosen = chosen_quality(session)
+        self.quality.set_value(chosen)
+        record = {} if chosen else session.project.stage_record("fit") or {}
+        self.quality_text.setText("Quality" if chosen else f"{record['options']['rounds']} rounds, or")
+        for name, options in QUALITIES.items():
+            one = self.quality.button(name)
+            one.setEnabled(not session.running)
+            what = f"{options['rounds']} rounds: {_QUALITY[name]}"
+            one.setToolTip(f"{what}\nStop the fit first." if session.running else what)
 
     def _phase(self, mine: bool, finished: bool) -> str:
         session, progress = self.session, self.session.progress

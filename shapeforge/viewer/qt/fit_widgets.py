@@ -7,7 +7,7 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QFrame, QWidget
 
-from shapeforge.viewer.fit_display import point_colours, to_plane
+from shapeforge.viewer.fit_display import all_points, to_plane
 from shapeforge.viewer.fit_record import FitRecord, look_at, moved_text
 from shapeforge.viewer.palette import tokens
 from shapeforge.viewer.qt.theme import PADDING, colours, font
@@ -196,15 +196,23 @@ class AlsoWatching(QFrame):
 
     clicked = Signal(str)
 
-    def __init__(self) -> None:
+    def __init__(self, *more: QWidget) -> None:
+        """``more`` widgets stand beside the choice of the order."""
         super().__init__()
         self.setObjectName("bar")
         self.setFixedHeight(186)
         self.pictures: list[PointPicture] = []
         self.count = label("", "text2")
-        self.sort = Choice("Sort by", [("name", "name"), ("movement", "movement")], "movement")
+        self.sort = Choice(
+            "Sort by",
+            [("name", "name"), ("movement", "movement")],
+            "movement",
+            tooltip="The order of the small pictures",
+        )
         self._row = row(spacing=4, margins=(12, 0, 12, 6))
-        head = row(label("Also watching", "heading"), self.count, None, self.sort, margins=(PADDING, 4, PADDING, 0))
+        head = row(
+            label("Also watching", "heading"), self.count, None, *more, self.sort, margins=(PADDING, 4, PADDING, 0)
+        )
         self.setLayout(column(head, self._row, spacing=2))
 
     def show_shapes(self, record: FitRecord, session: Session, number: int, direction: tuple[float, ...]) -> None:
@@ -228,7 +236,7 @@ class AlsoWatching(QFrame):
             if now is None or look is None or len(look.label) != len(now.positions):
                 one.show_points(None, None)
             else:
-                one.show_points(now.positions, point_colours(look, now, "part"))
+                one.show_points(*all_points(look, now))
             one.caption, one.warn = moved_text(record, one.name, number)
             one.current = one.name == session.shape
             one.look_from(direction)
