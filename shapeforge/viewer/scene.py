@@ -174,7 +174,8 @@ class Cell:
 class Scene:
     """Shows Displays in a render window.  ``render`` is called once when anything changed.
 
-    Use from the thread that owns the window only.  ``plotter.ren_win`` is the render window; ``scale`` is device pixels per logical pixel.
+    Use from the thread that owns the window only.  ``plotter.ren_win`` is the render window, ``scale`` device pixels
+    per logical pixel.
     """
 
     def __init__(
