@@ -3,8 +3,9 @@
     python -m benchmarks.latency [--faces 20000 200000 1000000] [--count 12] [--points 1500] [--seed 0] [--json]
 
 The brush works on bumpy sheets of ``--faces`` face records ("compute": picking, the faces under the ring and their
-paint; without a size in its name: 200 000 faces); the live fit view shows a generated chair, its template points and its probable parts, all of which change from
-frame to frame, as they do at most once a round; sliders on a machine learnt briefly on a generated family
+paint; without a size in its name: 200 000 faces); the live fit view shows a generated chair, its template points and
+its probable parts, all of which change from frame to frame, as they do at most once a round;
+sliders on a machine learnt briefly on a generated family
 with its true correspondences (their speed does not depend on how well it was learnt).  Pictures are 1000 x 640 pixels,
 off screen, one sample per pixel.  Medians in milliseconds of wall clock, one BLAS thread; "first" calls apart.
 The last line is one JSON object.

@@ -430,3 +430,26 @@ def test_a_fit_that_became_stale_says_so(open_window, fitted, qtbot):
     window.session.touch("labels")
     assert note.isVisible() and "labels" in " ".join(one.text() for one in note.findChildren(QLabel))
     assert window.places["fit"].run.text() == "Run"
+
+
+def test_a_click_in_the_grid_looks_at_the_shape_and_an_error_is_read_in_full(open_window, fitted, qtbot):
+    window = open_window(fitted, "fit")
+    session, place = window.session, place_of(window)
+    qtbot.mouseClick(place.mode.button("grid"), LEFT)
+    place._show_all()
+    names = [view.name for view in place.view.shown.views]
+    cell = next(i for i, name in enumerate(names) if name != session.shape)
+    for corner in place.view.shown.views[cell].layers[0].vertices[::7]:
+        x, y = place.view.place_of(corner, cell)
+        found = place.view.pick(x, y)
+        if found is not None and found.view == cell:
+            break
+    qtbot.mouseClick(place.view.plotter, LEFT, pos=QPoint(round(x), round(y)))
+    assert session.shape == names[cell]
+    place._show_all()
+    assert [view.name for view in place.view.shown.views] == names, "a click moves none"
+    assert [view.selected for view in place.view.shown.views] == [name == names[cell] for name in names]
+    session.say("No space left on device. Free some, then run it again.", "error")
+    assert place.problem.isVisible() and place.problem.text() == session.status
+    lines = place.problem.fontMetrics().boundingRect(0, 0, place.problem.width(), 99, 0x1000, place.problem.text())
+    assert lines.height() <= place.problem.height(), "all of it is seen"

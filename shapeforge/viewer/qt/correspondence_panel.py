@@ -36,7 +36,7 @@ COLOURS = (
 )  # fmt: skip
 HOVER_MS = 30
 HINTS = {
-    False: "Click a point; a second one measures",
+    False: "Click one point, or two",
     True: "Coloured by distance, lines join the same points. O: back, Shift+O: the other way round.",
 }
 
@@ -225,6 +225,7 @@ class CorrespondencePlace:
             one.setVisible(not self.overlaid)
         self.inspector.show_points(self.box, self.second)
         self.inspector.show_legend("distance" if self.overlaid else self.colour_by)
+        self.inspector.overlay.setText("Back to all shapes" if self.overlaid else "Overlay two shapes")
         self.strip.show_marks()
         self.session.edit_count += 1  # what can be done depends on what is picked
 

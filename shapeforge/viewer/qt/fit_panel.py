@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from PySide6.QtCore import Qt, QTimer
@@ -23,6 +24,7 @@ from shapeforge.viewer.fit_display import (
 )
 from shapeforge.viewer.fit_record import WATCHED_AT_MOST, FitRecord, look_at, moved_text
 from shapeforge.viewer.palette import SWITCHED_OFF, part_colours, tokens
+from shapeforge.viewer.picking import Pick
 from shapeforge.viewer.qt.bind import Binding, action_button
 from shapeforge.viewer.qt.fit_keys import fit_actions
 from shapeforge.viewer.qt.fit_report import FitReport
@@ -80,6 +82,7 @@ class FitPlace:
         self._soon = QTimer(self.centre, singleShot=True, interval=0)
         self._soon.timeout.connect(lambda: self.binding.safely(self._show_all))
         self.view.camera_moved.connect(self._camera_moved)
+        self.view.clicked.connect(self._click)
         self.binding.on(("project",), self._project_changed)
         self.binding.on(("progress",), self._take_progress)
         self.binding.on(("shape", "round", "data", "theme", "watched"), self._show_soon, now=False)
@@ -202,9 +205,11 @@ class FitPlace:
         self.stop = action_button(self.actions, "stop", self.binding, text="", kind="tool")
         self.round_text, self.left_text = label("", "heading"), label("", "text2")
         self.phase_text = ElidedLabel("", "caption")
+        self.problem = label("", "caption_error", wrap=True)
+        self.problem.setFixedSize(244, 30)
         left = column(
             row(self.run, self.step, self.stop, label("Space", "keycap"), None),
-            4, row(self.round_text, self.left_text, None, spacing=4), self.phase_text, None,
+            4, row(self.round_text, self.left_text, None, spacing=4), self.phase_text, self.problem, None,
             spacing=0, margins=(PADDING, 12, 0, 0),
         )  # fmt: skip
         holder = QWidget()
@@ -239,6 +244,12 @@ class FitPlace:
             self.actions.run("find")
         else:
             self.session.shape = name
+
+    def _click(self, pick: Pick | None, _modifiers: object) -> None:
+        """A click on a shape of the grid looks at it."""
+        shown = self.view.shown.views
+        if pick is not None and pick.view < len(shown) and shown[pick.view].name:
+            self.session.shape = shown[pick.view].name
 
     def _project_changed(self) -> None:
         project = self.session.project
@@ -325,8 +336,8 @@ class FitPlace:
             return
         one = self.mode.button("one").isChecked()
         self.heads_widget.setVisible(one)
-        first = self._fitted_shape != (session.shape, one, session.project.path)
-        self._fitted_shape = (session.shape, one, session.project.path)
+        fitted = (session.shape if one else session.watched, one, session.project.path)
+        first, self._fitted_shape = self._fitted_shape != fitted, fitted
         if not one:
             self.view.display(self._grid(number), fit=first)
             return
@@ -353,7 +364,8 @@ class FitPlace:
             self.heads[2][1].setText(f"of round {self.record.newest}, pale = unsure" if old else "pale = unsure")
 
     def _grid(self, number: int) -> Display:
-        names = tuple(dict.fromkeys((self.session.shape, *self.session.watched)))[: WATCHED_AT_MOST + 1]
+        watched, shape = self.session.watched, self.session.shape
+        names = watched if shape in watched else (shape, *watched)  # a click on one moves none
         rows, columns = grid_of(len(names), 1.5)
         views = []
         for name in names:
@@ -361,9 +373,8 @@ class FitPlace:
             look = look_at(self.record, now)
             lines = [(name, "strong"), (moved_text(self.record, name, number)[0], "plain")]
             caption = (Caption("top left", tuple(lines)),)
-            views.append(
-                template_view(self._layer(name, "ghost"), look, now, before, self.by.value_text(), caption, 2.6)
-            )
+            view = template_view(self._layer(name, "ghost"), look, now, before, self.by.value_text(), caption, 2.6)
+            views.append(replace(view, name=name, selected=name == self.session.shape))
         return Display(tuple(views), rows, columns)
 
     def _show_legend(self) -> None:
@@ -438,7 +449,12 @@ class FitPlace:
         self.left_text.setText(
             f"· {duration(left)} left" if left is not None else "· paused" if mine and session.is_paused else ""
         )
+        failed = not mine and session.status_kind == "error" and bool(session.status)
         self.phase_text.setText(self._phase(mine, finished))
+        self.problem.setText(session.status if failed else "")
+        self.problem.setToolTip(session.status if failed else "")
+        for one, shown in ((self.problem, failed), (self.phase_text, not failed)):
+            one.setVisible(shown)
 
     def _show_quality(self) -> None:
         session = self.session

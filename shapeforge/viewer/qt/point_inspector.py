@@ -85,13 +85,14 @@ class PointInspector(QFrame):
         sure = section(
             self.legend_title, self.ramp, ends, self.legend_text, 4, low, 4, buttons, line=False,
         )  # fmt: skip
+        self.overlay = action_button(actions, "overlay", binding)
         self.overlay_why = label("", "caption", wrap=True)
         foot = QFrame()
         foot.setObjectName("bar")
         foot.setLayout(
             column(
                 label("Compare", "heading"),
-                action_button(actions, "overlay", binding),
+                self.overlay,
                 self.overlay_why,
                 spacing=8,
                 margins=(16, 12, 16, 16),
