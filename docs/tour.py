@@ -312,18 +312,7 @@ class Tour:
         """Empty, busy and failed states."""
         fresh = make_fresh(self.scratch / "fresh")
         for theme in ("dark", "light"):
-            for state in (
-                "start",
-                "problems",
-                "unpainted",
-                "busy",
-                "random",
-                "grid",
-                "landmarks",
-                "unsure",
-                "stale",
-                "failed",
-            ):
+            for state in STATES:
                 if only in (name := f"{state}-{theme}"):
                     getattr(self, state)(fresh if state in ("problems", "unpainted") else project, theme)
                     self.picture(name)

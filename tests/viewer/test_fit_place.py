@@ -93,7 +93,7 @@ def test_a_finished_fit_is_shown_from_disk(open_window, fitted, qtbot):
     window = open_window(fitted, "fit")
     place = place_of(window)
     state = fitted.fit()
-    assert place.round_text.text() == f"Round {state.round} of {state.of}"
+    assert place.strip.round_text.text() == f"Round {state.round} of {state.of}"
     np.testing.assert_allclose(place.report.energy.values[0][-1], state.energy)
     np.testing.assert_allclose([curve[-1] for curve in place.report.sigma.values], 100 * state.sigma_by_part, rtol=1e-6)
     assert place.run.text() == "Run again"
@@ -186,7 +186,7 @@ def test_running_pausing_stepping_stopping(open_window, fitted, qtbot):
     qtbot.wait(50)
     assert place.record.newest == 0, "a step is one round: the affine start"
     assert session.is_paused and place.run.text() == "Resume"
-    assert place.left_text.text() == "· paused" and "paused" in place.phase_text.full_text()
+    assert place.strip.left_text.text() == "· paused" and "paused" in place.strip.phase_text.full_text()
     qtbot.mouseClick(place.step, LEFT)
     qtbot.waitUntil(lambda: place.record.newest == 1 and window.runner.paused, timeout=LONG)
     qtbot.wait(50)
@@ -380,7 +380,7 @@ def test_the_quality_is_chosen_and_is_what_runs(open_window, fitted, qtbot):
     assert not place.quality.button("fine").isEnabled() and "Stop" in place.quality.button("fine").toolTip()
     qtbot.waitUntil(lambda: place.record.newest == 0 and window.runner.paused, timeout=LONG)
     qtbot.wait(50)
-    assert place.record.planned == QUALITIES["draft"]["rounds"] and place.round_text.text() == "Round 0 of 4"
+    assert place.record.planned == QUALITIES["draft"]["rounds"] and place.strip.round_text.text() == "Round 0 of 4"
     qtbot.mouseClick(place.stop, LEFT)
     qtbot.waitUntil(lambda: not session.running, timeout=LONG)
     assert place.run.text() == "Go on"
@@ -450,6 +450,7 @@ def test_a_click_in_the_grid_looks_at_the_shape_and_an_error_is_read_in_full(ope
     assert [view.name for view in place.view.shown.views] == names, "a click moves none"
     assert [view.selected for view in place.view.shown.views] == [name == names[cell] for name in names]
     session.say("No space left on device. Free some, then run it again.", "error")
-    assert place.problem.isVisible() and place.problem.text() == session.status
-    lines = place.problem.fontMetrics().boundingRect(0, 0, place.problem.width(), 99, 0x1000, place.problem.text())
-    assert lines.height() <= place.problem.height(), "all of it is seen"
+    problem = place.strip.problem
+    assert problem.isVisible() and problem.text() == session.status
+    lines = problem.fontMetrics().boundingRect(0, 0, problem.width(), 99, 0x1000, problem.text())
+    assert lines.height() <= problem.height(), "all of it is seen"

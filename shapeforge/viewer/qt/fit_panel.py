@@ -13,7 +13,6 @@ from PySide6.QtWidgets import QWidget
 from shapeforge.viewer.actions import Action, Actions, group_of, groups_of
 from shapeforge.viewer.display import Caption, Display, grid_of
 from shapeforge.viewer.fit_display import (
-    FULL_HEAT,
     UNTURNED,
     MeshLayer,
     all_points,
@@ -23,35 +22,31 @@ from shapeforge.viewer.fit_display import (
     three_views,
 )
 from shapeforge.viewer.fit_record import WATCHED_AT_MOST, FitRecord, look_at, moved_text
-from shapeforge.viewer.palette import SWITCHED_OFF, part_colours, tokens
+from shapeforge.viewer.palette import tokens
 from shapeforge.viewer.picking import Pick
 from shapeforge.viewer.qt.bind import Binding, action_button
 from shapeforge.viewer.qt.fit_keys import fit_actions
 from shapeforge.viewer.qt.fit_report import FitReport
-from shapeforge.viewer.qt.fit_widgets import AlsoWatching, Scrubber, draw_points
-from shapeforge.viewer.qt.icons import refresh, set_icon
+from shapeforge.viewer.qt.fit_run import RunStrip
+from shapeforge.viewer.qt.fit_widgets import AlsoWatching, draw_points, show_legend
+from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.stale_note import stale_note
 from shapeforge.viewer.qt.theme import PADDING
 from shapeforge.viewer.qt.widgets import (
     Choice,
     ElidedLabel,
     Segments,
-    Swatch,
     button,
-    clear,
     column,
     framed,
     grouped,
     label,
     row,
     separator,
-    set_style,
 )
-from shapeforge.viewer.readiness import QUALITIES, chosen_quality, other_quality, stage_status
-from shapeforge.viewer.runner import duration
+from shapeforge.viewer.readiness import QUALITIES, chosen_quality
 from shapeforge.viewer.session import Session
 
-LEGEND_AT_MOST = 12
 _QUALITY = {
     "draft": "a first look", "normal": "good enough for most families", "fine": "until hardly anything moves any more"
 }  # fmt: skip
@@ -143,7 +138,7 @@ class FitPlace:
                 self.mode,
                 self.by,
                 None,
-                label("Quality", "text2"),
+                self.quality_text,
                 self.quality,
                 4,
                 self.home,
@@ -199,29 +194,10 @@ class FitPlace:
         return result
 
     def _make_strip(self) -> QWidget:
-        self.run = action_button(self.actions, "fit", self.binding, kind="primary")
-        self.run.setFixedWidth(112)
-        self.step = action_button(self.actions, "step", self.binding, text="", kind="tool")
-        self.stop = action_button(self.actions, "stop", self.binding, text="", kind="tool")
-        self.round_text, self.left_text = label("", "heading"), label("", "text2")
-        self.phase_text = ElidedLabel("", "caption")
-        self.problem = label("", "caption_error", wrap=True)
-        self.problem.setFixedSize(244, 30)
-        left = column(
-            row(self.run, self.step, self.stop, label("Space", "keycap"), None),
-            4, row(self.round_text, self.left_text, None, spacing=4), self.phase_text, self.problem, None,
-            spacing=0, margins=(PADDING, 12, 0, 0),
-        )  # fmt: skip
-        holder = QWidget()
-        holder.setFixedWidth(264)
-        holder.setLayout(left)
-        self.scrubber = Scrubber()
+        strip = RunStrip(self.actions, self.binding)
+        self.run, self.step, self.stop, self.scrubber = strip.run, strip.step, strip.stop, strip.scrubber
         self.scrubber.moved.connect(self.look_back)
-        result = QWidget()
-        box = row(holder, spacing=8, margins=(0, 0, 8, 0))
-        box.addWidget(self.scrubber, 1)
-        result.setLayout(box)
-        return result
+        return strip
 
     # -- what is watched -------------------------------------------------------------------------------------------
 
@@ -290,7 +266,7 @@ class FitPlace:
             self.record.load()
         self._show_tools()
         self._show_views()
-        self._show_legend()
+        show_legend(self.legend, self.record.looks, self.by.value_text(), self.number())
         self.also_watching.show_shapes(self.record, self.session, self.number(), self._direction())
         self.report.show_fit(self.record, self.session, self.number())
         self._show_scrubber()
@@ -377,30 +353,6 @@ class FitPlace:
             views.append(replace(view, name=name, selected=name == self.session.shape))
         return Display(tuple(views), rows, columns)
 
-    def _show_legend(self) -> None:
-        clear(self.legend)
-        looks = self.record.looks
-        if self.by.value_text() == "movement":
-            self.legend.addWidget(
-                label(f"pale: at rest · dark red: moved {100 * FULL_HEAT:g}% of size or more", "caption")
-            )
-        elif looks:
-            names = looks[0].part_names
-            inks = part_colours(len(names))
-            for part, name in enumerate(names[:LEGEND_AT_MOST]):
-                self.legend.addWidget(Swatch("#{:02X}{:02X}{:02X}".format(*inks[part]), size=10))
-                self.legend.addWidget(label(name, "caption"))
-                self.legend.addSpacing(6)
-            self.legend.addWidget(Swatch(SWITCHED_OFF, size=8, disc=True))
-            self.legend.addWidget(label("switched off", "caption"))
-            if self.number() > 0:
-                self.legend.addSpacing(6)
-                self.legend.addWidget(label(f"—  moved since round {self.number() - 1}", "caption"))
-        else:
-            said = "Run the fit: the templates of the painted exemplars find their way to every shape."
-            self.legend.addWidget(label(said, "caption"))
-        self.legend.addStretch(1)
-
     def _direction(self) -> tuple[float, ...]:
         if not self.session.linked:
             return (1.0, 0.6, 1.5)
@@ -429,32 +381,13 @@ class FitPlace:
     def _show_run(self) -> None:
         if not self._here() or self.record is None:
             return
-        session, progress = self.session, self.session.progress
-        mine = session.running and session.stage == "fit"
-        done = not session.running and stage_status(session).get("fit")
-        finished = bool(done) and done.state == "done"
-        going_on = bool(done) and done.state == "partial" and not other_quality(session)
-        words = "Resume" if mine and session.is_paused else "Pause" if mine else "Go on" if going_on else "Run"
-        self.run.setText(words if not finished else "Run again")
-        set_style(self.run, "kind", "" if finished else "primary")
-        set_icon(self.run, "pause" if mine and not session.is_paused else "play", "text_2" if finished else "on_accent")
+        session = self.session
+        finished = self.strip.show_run(session, self.record)
         self.next.setVisible(finished)
         self._show_quality()
         self.correct.setText(f"Correct {session.shape} by painting" if session.shape else "Correct by painting")
         can, why = self._can_correct(session)
         self.correct_text.setText("The next fit takes it as evidence." if can else why)
-        newest = self.record.newest
-        self.round_text.setText(f"Round {max(newest, 0)} of {self.record.planned}" if newest >= 0 else "Not fitted yet")
-        left = progress.seconds_left if mine and progress is not None and not session.is_paused else None
-        self.left_text.setText(
-            f"· {duration(left)} left" if left is not None else "· paused" if mine and session.is_paused else ""
-        )
-        failed = not mine and session.status_kind == "error" and bool(session.status)
-        self.phase_text.setText(self._phase(mine, finished))
-        self.problem.setText(session.status if failed else "")
-        self.problem.setToolTip(session.status if failed else "")
-        for one, shown in ((self.problem, failed), (self.phase_text, not failed)):
-            one.setVisible(shown)
 
     def _show_quality(self) -> None:
         session = self.session
@@ -467,25 +400,6 @@ class FitPlace:
             one.setEnabled(not session.running)
             what = f"{options['rounds']} rounds: {_QUALITY[name]}"
             one.setToolTip(f"{what}\nStop the fit first." if session.running else what)
-
-    def _phase(self, mine: bool, finished: bool) -> str:
-        session, progress = self.session, self.session.progress
-        if mine and session.is_paused:
-            return "paused; what is done is kept"
-        if mine and progress is None:
-            return "starting…"
-        if mine:
-            if progress.phase == "faces":
-                return f"labelling faces, shape {progress.step} of {progress.of}"
-            if progress.phase == "fit" and progress.step == 0:
-                return "aligned; the first round is under way"
-            return f"round {progress.step + 1} is under way" if progress.phase == "fit" else progress.message
-        if session.status and session.status_kind in ("error", "warning"):
-            return session.status
-        status = stage_status(session).get("fit")
-        if status is not None and status.state == "stale":
-            return f"out of date: {status.reason}"
-        return "done" if finished else self.actions.verdict("fit")[1] or session.status
 
     # -- what the user does ----------------------------------------------------------------------------------------
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
-from PySide6.QtWidgets import QFrame, QWidget
+from PySide6.QtWidgets import QBoxLayout, QFrame, QWidget
 
-from shapeforge.viewer.fit_display import all_points, to_plane
+from shapeforge.viewer.fit_display import FULL_HEAT, TemplateLook, all_points, to_plane
 from shapeforge.viewer.fit_record import FitRecord, look_at, moved_text
-from shapeforge.viewer.palette import tokens
+from shapeforge.viewer.palette import SWITCHED_OFF, part_colours, tokens
 from shapeforge.viewer.qt.theme import PADDING, colours, font
-from shapeforge.viewer.qt.widgets import Choice, clear, column, label, row
+from shapeforge.viewer.qt.widgets import Choice, Swatch, clear, column, label, row
 from shapeforge.viewer.session import Session
 
 
@@ -41,6 +43,32 @@ def draw_points(
                 picture[y, x, :3] = inks
                 picture[y, x, 3] = 255
     return QImage(picture.data, width, height, 4 * width, QImage.Format.Format_RGBA8888).copy()
+
+
+LEGEND_AT_MOST = 12
+
+
+def show_legend(box: QBoxLayout, looks: Sequence[TemplateLook], by: str, number: int) -> None:
+    """Fill ``box`` with what the colours of round ``number`` mean: parts, or movement."""
+    clear(box)
+    if by == "movement":
+        box.addWidget(label(f"pale: at rest · dark red: moved {100 * FULL_HEAT:g}% of size or more", "caption"))
+    elif looks:
+        names = looks[0].part_names
+        inks = part_colours(len(names))
+        for part, name in enumerate(names[:LEGEND_AT_MOST]):
+            box.addWidget(Swatch("#{:02X}{:02X}{:02X}".format(*inks[part]), size=10))
+            box.addWidget(label(name, "caption"))
+            box.addSpacing(6)
+        box.addWidget(Swatch(SWITCHED_OFF, size=8, disc=True))
+        box.addWidget(label("switched off", "caption"))
+        if number > 0:
+            box.addSpacing(6)
+            box.addWidget(label(f"—  moved since round {number - 1}", "caption"))
+    else:
+        said = "Run the fit: the templates of the painted exemplars find their way to every shape."
+        box.addWidget(label(said, "caption"))
+    box.addStretch(1)
 
 
 class PointPicture(QWidget):
