@@ -5,6 +5,7 @@ No Qt here: the window and the notebook show the Displays made by :class:`Lightb
 
 from __future__ import annotations
 
+import time
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -118,6 +119,9 @@ class Lightbox:
         self._layers: dict[tuple, MeshLayer] = {}
         self._fuzzy: dict[str, Fuzzy | None] = {}
         self._overlaid: tuple[tuple, Display] | None = None
+        self.names: tuple[str, ...] = ()
+        self.in_slices = False
+        """Whether somebody calls `read_some` until all is read; else shapes are read when first asked for."""
 
     def reload(self) -> bool:
         """Look at the project's present fit; True when it is another than before."""
@@ -161,6 +165,23 @@ class Lightbox:
             self._known[name] = Known(turned(positions, turn), existence, spread, sure, turn)
         return self._known[name]
 
+    @property
+    def unread(self) -> tuple[str, ...]:
+        """Shapes of which nothing is known yet.  While there are any, sums over the family are over the others."""
+        return tuple(name for name in self.names if name not in self._known) if self.in_slices else ()
+
+    def read_some(self, seconds: float) -> bool:
+        """Read what is known of unread shapes for ``seconds``; True when all are read."""
+        end = time.monotonic() + seconds
+        for name in self.unread:
+            self.known(name)
+            if time.monotonic() > end:
+                break
+        return not self.unread
+
+    def _at_hand(self) -> tuple[str, ...]:
+        return tuple(name for name in self.names if name in self._known) if self.in_slices else self.names
+
     def shape(self, name: str) -> Corresponded:
         """One fitted shape, loaded now when it has not been."""
         if name in self._shapes:
@@ -182,6 +203,10 @@ class Lightbox:
             self._layers = {key: layer for key, layer in self._layers.items() if key[0] != old}
             self._fuzzy.pop(old, None)
         return made
+
+    def is_ready(self, name: str) -> bool:
+        """Whether the heat of a point on a shape can be shown at once."""
+        return name in self._fuzzy
 
     def fuzzy(self, name: str) -> Fuzzy | None:
         """The fuzzy correspondence of a shape, computed when first asked for; None when its fit is not complete."""
@@ -217,7 +242,7 @@ class Lightbox:
     def distances(self, first: int, second: int) -> dict[str, float]:
         """Straight distance in diagonals between two template points on every shape that has both."""
         found = {}
-        for name in self.names:
+        for name in self._at_hand():
             positions = self.known(name).positions
             length = float(np.linalg.norm(positions[first] - positions[second]))
             if np.isfinite(length):
@@ -226,7 +251,7 @@ class Lightbox:
 
     def present_on(self, point: int) -> tuple[str, ...]:
         """Names of the shapes that have a template point."""
-        return tuple(name for name in self.names if self.known(name).existence[point])
+        return tuple(name for name in self._at_hand() if self.known(name).existence[point])
 
     def describe(self, point: int) -> str:
         """Words for a template point."""

@@ -453,3 +453,27 @@ def test_results_that_became_stale_say_so(lightbox, qtbot, fitted):
     link = next(one for one in note.findChildren(QPushButton))
     qtbot.mouseClick(link, LEFT)
     assert lightbox.session.place == "fit"
+
+
+def test_a_large_family_is_read_little_by_little(fitted, open_window, qtbot, monkeypatch):
+    monkeypatch.setattr("shapeforge.viewer.qt.correspondence_panel.AT_ONCE", 2)
+    monkeypatch.setattr("shapeforge.viewer.qt.correspondence_panel.SLICE", 0.0)
+    window = open_window(fitted)
+    place = window.place("correspondence")
+    monkeypatch.setattr(place._idle, "start", lambda *_: None)
+    place.count = 4
+    window.session.place = "correspondence"
+    assert place.box.in_slices and list(place.names) == sorted(place.names), "there at once, by name"
+    unread = len(place.box.unread)
+    assert 0 < unread and f"of {len(fitted.names)}" in place.hint.full_text()
+    point = int(place.box.known(place.names[0]).existence.argmax())
+    assert len(place.box.present_on(point)) <= len(fitted.names) - len(place.box.unread)
+    while place.box.unread:
+        place._work_ahead()
+    assert place.hint.full_text() == "Click one point, or two"
+    values = [view.confidence for view in place.view.shown.views]
+    assert values == sorted(values, reverse=True), "then in order"
+    assert not place.box.is_ready(place.names[0])
+    for _ in place.names:
+        place._work_ahead()
+    assert all(place.box.is_ready(name) for name in place.names), "the first click finds all computed"

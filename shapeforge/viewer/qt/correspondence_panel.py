@@ -35,6 +35,11 @@ COLOURS = (
     ("entropy", "unsure which point"), ("part_entropy", "unsure which part"),
 )  # fmt: skip
 HOVER_MS = 30
+IDLE_MS = 10
+AT_ONCE = 60
+"""A family of more shapes is read little by little, so that the place is there at once."""
+SLICE = 0.03
+"""Seconds of work between two looks at what the user does."""
 HINTS = {
     False: "Click one point, or two",
     True: "Coloured by distance, lines join the same points. O: back, Shift+O: the other way round.",
@@ -63,6 +68,8 @@ class CorrespondencePlace:
         self._build()
         self._hover_timer = QTimer(self.centre, singleShot=True, interval=HOVER_MS)
         self._hover_timer.timeout.connect(self._show_hover)
+        self._idle = QTimer(self.centre, interval=IDLE_MS)
+        self._idle.timeout.connect(self._work_ahead)
         self.binding.on(("picked", "selected", "theme"), self.show, now=False)
         self.binding.on(("compare",), self._compare, now=False)
         self.binding.on(("shape",), self._bring, now=False)
@@ -134,21 +141,26 @@ class CorrespondencePlace:
         """Show the fitted family."""
         self._entered = True
         self._reload()
+        self._idle.start()
         self.show(fit=True)
 
     def leave(self) -> None:
         """Nothing has to be saved here."""
         self._entered = False
+        self._idle.stop()
 
     def close(self) -> None:
         """The window closes."""
         self._hover_timer.stop()
+        self._idle.stop()
         self.binding.close()
 
     def _reload(self) -> None:
         if not self._entered or self.session.project is None or not self.session.project.fit_names:
             return
         if self.box.reload():
+            self.box.in_slices = len(self.session.project.fit_names) > AT_ONCE
+            self._idle.start()
             self.second = None
             if self.session.picked is not None and self.session.picked >= self.box.n_points:
                 self.session.picked = None
@@ -164,9 +176,9 @@ class CorrespondencePlace:
         """Which shapes are shown, in which order."""
         box, picked = self.box, self.session.picked
         names = [name for name in self.session.compare if name in box.names] or list(box.names)
-        if self.sort in ("high", "low"):
+        if self.sort in ("high", "low") and not box.unread:
             names.sort(key=lambda name: box.confidence(name, picked), reverse=self.sort == "high")
-        elif self.sort == "name":
+        elif self.sort in ("name", "high", "low"):
             names.sort()
         elif self.session.project.groups is not None:
             groups = self.session.project.groups
@@ -206,6 +218,8 @@ class CorrespondencePlace:
 
     def show(self, *, fit: bool = False) -> None:
         """Show what the session says."""
+        if self._entered and not self._idle.isActive():
+            self._idle.start()
         if not self._entered or self.session.project is None or not self.box.names:
             return
         session, view = self.session, self.view
@@ -220,7 +234,7 @@ class CorrespondencePlace:
             )  # fmt: skip
             changed = (display.rows, display.columns) != (view.shown.rows, view.shown.columns)
             view.display(display, fit=fit or changed)
-        self.hint.setText(HINTS[self.overlaid])
+        self._show_hint()
         for one in (self.colour, self.sorting, self.showing, self.before, self.after):
             one.setVisible(not self.overlaid)
         self.inspector.show_points(self.box, self.second)
@@ -228,6 +242,25 @@ class CorrespondencePlace:
         self.inspector.overlay.setText("Back to all shapes" if self.overlaid else "Overlay two shapes")
         self.strip.show_marks()
         self.session.edit_count += 1  # what can be done depends on what is picked
+
+    def _show_hint(self) -> None:
+        unread, of = len(self.box.unread), len(self.box.names)
+        self.hint.setText(f"Reading {of - unread} of {of}…" if unread else HINTS[self.overlaid])
+
+    def _work_ahead(self) -> None:
+        """While nothing else is to do: read the rest of the family, then what the next click needs of those shown."""
+        if self.box.unread:
+            done = self.box.read_some(SLICE)
+            self._show_hint()
+            if done:  # now they can be put in order
+                self._arrange()
+                self.show()
+            return
+        waiting = [name for name in self.names if not self.box.is_ready(name)]
+        if not waiting:
+            self._idle.stop()
+        else:
+            self.binding.safely(lambda: self.box.fuzzy(waiting[0]) and None)
 
     # ---- the pointer ---------------------------------------------------------------------------------------------
 

@@ -126,7 +126,6 @@ class PointInspector(QFrame):
     def show_points(self, box: Lightbox, second: int | None) -> None:
         """Show the picked points of the session and ``second``, what they measure and how sure they are."""
         picked = self.session.picked
-        of = len(box.names)
         for point, name, on in ((picked, self.first_name, self.first_on), (second, self.second_name, self.second_on)):
             hint = "Click a point on a shape" if name is self.first_name else ""
             name.setText(hint if point is None else box.describe(point))
@@ -141,7 +140,9 @@ class PointInspector(QFrame):
         if measured:
             lengths = {name: 100 * length for name, length in box.distances(picked, second).items()}
             self._show_distances(lengths)
-        present = box.names if picked is None else box.present_on(picked)
+        present = [name for name in box.names if name not in set(box.unread)]
+        of = len(present)
+        present = present if picked is None else box.present_on(picked)
         low = [name for name in present if box.confidence(name, picked) < LOW_CONFIDENCE]
         self.low_icon.setVisible(bool(low))
         self.low_title.setText(f"{len(low)} shape{'s' * (len(low) != 1)} below 50%" if low else "No shape below 50%")
