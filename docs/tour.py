@@ -29,6 +29,11 @@ IN_DOCS = (
     "collection-light", "fit-light", "correspondence-light", "synthesize-light", "correspondence-large",
 )  # fmt: skip
 
+STATES = (
+    "start", "problems", "unpainted", "busy", "random", "grid", "landmarks", "unsure", "stale", "failed",
+)  # fmt: skip
+"""What ``--all`` adds."""
+
 
 def make_project(folder: Path) -> Path:
     """A generated family, imported, grouped, its exemplars labelled, fitted and learned: the project's folder."""
@@ -307,7 +312,7 @@ class Tour:
         """Empty, busy and failed states."""
         fresh = make_fresh(self.scratch / "fresh")
         for theme in ("dark", "light"):
-            for state in ("start", "problems", "unpainted", "busy", "random", "grid", "landmarks"):
+            for state in STATES:
                 if only in (name := f"{state}-{theme}"):
                     getattr(self, state)(fresh if state in ("problems", "unpainted") else project, theme)
                     self.picture(name)
@@ -364,6 +369,38 @@ class Tour:
             self.click(place.view.plotter, place.view.place_of(middle, cell), control=True)
         self.key("O")
         self.settled(place.view)
+
+    def unsure(self, project: Path, theme: str) -> None:
+        """Colours by the entropy of the correspondence, the least sure shapes first, on a large screen."""
+        self.open(project, theme, LARGE)
+        place = self.go("correspondence")
+        self.key("W")
+        place.colour._choose("entropy")
+        self.settled(place.view)
+
+    def stale(self, project: Path, theme: str) -> None:
+        """The fit is out of date: what is shown is the old one."""
+        self.open(project, theme, SMALL)
+        self._unpaint()
+        place = self.go("correspondence")
+        self.settled(place.view)
+
+    def failed(self, project: Path, theme: str) -> None:
+        """Out of date, seen as a grid on a large screen; a fit that could not be started says why."""
+        self.open(project, theme, LARGE)
+        self._unpaint()
+        place = self.go("fit")
+        self.click(place.mode.button("grid"))
+        self.window.session.say("No space left on device. Free some, then run it again.", "error")
+        self.pause(0.3)
+        self.settled(place.view)
+
+    def _unpaint(self) -> None:
+        project = self.window.session.project
+        labels = project.labels(project.labelled[0]).copy()
+        labels[:3] = -1
+        project.set_labels(project.labelled[0], labels)
+        self.window.session.touch("labels")
 
 
 def main() -> int:

@@ -13,8 +13,6 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial.distance import cdist
-from sklearn.cluster import AffinityPropagation
-from sklearn.exceptions import ConvergenceWarning
 from threadpoolctl import threadpool_limits
 
 from shapeforge.collection.align import dissimilarity, thinned
@@ -191,6 +189,10 @@ def _propagated(similarity: np.ndarray, fewest: int, most: int, *, seed: int) ->
     median, least = float(np.median(off)), float(off.min())
     if least >= 0:  # all shapes equal
         return medoids(-similarity, 1)
+    # Here and not above: with it comes all of scipy.stats, and whoever only opens a project would wait for both.
+    from sklearn.cluster import AffinityPropagation
+    from sklearn.exceptions import ConvergenceWarning
+
     levels = [median + share * (least - median) for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
     for preference in levels + [least * 2**power for power in range(1, 8)]:
         model = AffinityPropagation(

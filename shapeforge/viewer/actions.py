@@ -14,6 +14,7 @@ from typing import Any, Protocol, runtime_checkable
 from shapeforge.viewer.readiness import (
     YES,
     Verdict,
+    fit_options,
     group_of,
     groups_of,
     needs_project,
@@ -250,7 +251,7 @@ def _stage_actions(actions: Actions) -> list[Action]:
         if session.running:
             actions.desk.control("resume" if session.is_paused else "pause")
         else:
-            actions.start_stage("fit", restart=is_done("fit"))
+            actions.start_stage("fit", restart=is_done("fit"), **fit_options(session))
 
     def is_done(stage: str) -> bool:
         found = stage_status(actions.session).get(stage)
@@ -260,7 +261,7 @@ def _stage_actions(actions: Actions) -> list[Action]:
         if session.running:
             actions.desk.control("step")
         else:
-            actions.start_stage("fit", restart=is_done("fit"))
+            actions.start_stage("fit", restart=is_done("fit"), **fit_options(session))
             actions.desk.control("step")
 
     return [

@@ -26,11 +26,25 @@ FULL_HEAT = 0.05
 
 @dataclass(frozen=True, eq=False)
 class FittedPoints:
-    """Template points of one shape in one round: positions (K, 3) in diagonals, and which template they are."""
+    """Template points of one shape in one round: positions (K, 3) in diagonals, and which template they are.
+
+    ``turn`` (3, 3) turns the shape as the family lies; positions are so turned, the mesh has to be (see ``turned``).
+    ``active`` (L,) are the parts of this template that the shape has; ``lent`` the points (n, 3) of parts that another
+    exemplar's template brings: (part, points, index of that template).
+    """
 
     positions: Float[np.ndarray, "K 3"]
     template: int
     active: Bool[np.ndarray, " L"]
+    turn: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
+    lent: tuple[tuple[int, Float[np.ndarray, "_ 3"], int], ...] = ()
+
+    @property
+    def parts(self) -> Bool[np.ndarray, " L"]:
+        """The parts (L,) that the shape has, its own template's and those lent to it."""
+        found = self.active.copy()
+        found[[part for part, _, _ in self.lent]] = True
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,10 +96,29 @@ def looks_of(state: Any) -> tuple[TemplateLook, ...]:
     return tuple(TemplateLook(t.label, tuple(t.part_names), t.source) for t in state.templates)
 
 
+def fitted_points(beliefs: Any, looks: Sequence[TemplateLook]) -> FittedPoints:
+    """Where a shape's template points lie by its beliefs, turned as the family lies, with the parts lent to it."""
+    lent = []
+    for part, theirs in beliefs.lent:
+        own = theirs.deformed[looks[theirs.template].label == part]
+        lent.append((int(part), np.asarray(beliefs.to_family(own), np.float32), int(theirs.template)))
+    return FittedPoints(
+        np.asarray(beliefs.to_family(beliefs.deformed), np.float32), int(beliefs.template), beliefs.active,
+        np.asarray(beliefs.pose, float), tuple(lent),
+    )  # fmt: skip
+
+
+def turned(vertices: Float[np.ndarray, "V 3"], turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "V 3"]:
+    """A shape's vertices (V, 3), turned as the family lies."""
+    vertices = np.asarray(vertices, float)
+    return vertices if np.array_equal(turn, np.eye(3)) else np.ascontiguousarray(vertices @ turn.T)
+
+
 def record_round(state: Any, names: Sequence[str], watched: Sequence[str], before: Any | None) -> Round:
     """What to remember of a state; ``before`` is the state of the round before, for the movement."""
     points: dict[str, FittedPoints] = {}
     moved: dict[str, float] = {}
+    looks = looks_of(state)
     for index, name in enumerate(names):
         beliefs = best_beliefs(state, index)
         if before is not None:
@@ -93,7 +126,7 @@ def record_round(state: Any, names: Sequence[str], watched: Sequence[str], befor
             if old.template == beliefs.template and len(old.deformed) == len(beliefs.deformed):
                 moved[name] = float(np.linalg.norm(beliefs.deformed - old.deformed, axis=1).mean())
         if name in watched:
-            points[name] = FittedPoints(np.asarray(beliefs.deformed, np.float32), int(beliefs.template), beliefs.active)
+            points[name] = fitted_points(all_beliefs(state, index), looks)
     sigma = np.asarray(state.sigma_by_part, float)
     return Round(
         int(state.round), int(state.of), float(state.energy), float(state.change), sigma, points, moved,
@@ -113,26 +146,47 @@ def point_colours(
     return colours
 
 
+def all_points(look: TemplateLook, fitted: FittedPoints) -> tuple[Float[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
+    """Points (n, 3) and colours (n, 3) of a small picture: the template's own, and those of parts lent to the shape."""
+    inks = part_colours(len(look.part_names))
+    lent = [part for part, _, _ in fitted.lent]
+    own = ~np.isin(look.label, lent)  # what is lent stands in the place of what is switched off
+    colours = [point_colours(look, fitted, "part")[own]]
+    colours += [np.tile(inks[part], (len(there), 1)) for part, there, _ in fitted.lent]
+    places = [fitted.positions[own], *(there for _, there, _ in fitted.lent)]
+    return np.concatenate(places), np.concatenate(colours).astype(np.uint8)
+
+
 def movement(now: FittedPoints, before: FittedPoints | None) -> Float[np.ndarray, " K"] | None:
-    """How far each template point moved (K,) in diagonals; None when another template explained the shape before."""
+    """How far each template point moved (K,) in diagonals; None when another template explained the shape before, or
+    the same one after another turn."""
     if before is None or before.template != now.template or len(before.positions) != len(now.positions):
+        return None
+    if not np.array_equal(before.turn, now.turn):
         return None
     return np.linalg.norm(now.positions - before.positions, axis=1).astype(float)
 
 
-def mesh_layer(shape: Shape, colour: str, opacity: float = 1.0, key: str = "mesh") -> MeshLayer:
-    """The mesh of a shape in one colour."""
+UNTURNED = np.eye(3)
+
+
+def mesh_layer(
+    shape: Shape, colour: str, opacity: float = 1.0, key: str = "mesh", turn: Float[np.ndarray, "3 3"] = UNTURNED
+) -> MeshLayer:
+    """The mesh of a shape in one colour, turned as the family lies."""
     mesh = shape.mesh
     colours = np.broadcast_to(np.array(rgb(colour), np.uint8), (len(mesh.triangles), 3))
-    vertices = np.asarray(mesh.vertices, float)
+    vertices = turned(mesh.vertices, turn)
     return MeshLayer(key, vertices, mesh.triangles, np.ascontiguousarray(colours), opacity=opacity)
 
 
-def probable_layer(shape: Shape, probabilities: Float[np.ndarray, "F L"]) -> MeshLayer:
+def probable_layer(
+    shape: Shape, probabilities: Float[np.ndarray, "F L"], turn: Float[np.ndarray, "3 3"] = UNTURNED
+) -> MeshLayer:
     """The mesh of a shape in the colours of its probable parts, pale where it is unsure."""
     mesh = shape.mesh
     colours = probability_colours(np.asarray(probabilities, float))[mesh.face_of_triangle]
-    return MeshLayer("parts", np.asarray(mesh.vertices, float), mesh.triangles, np.ascontiguousarray(colours))
+    return MeshLayer("parts", turned(mesh.vertices, turn), mesh.triangles, np.ascontiguousarray(colours))
 
 
 def template_view(
@@ -147,8 +201,13 @@ def template_view(
         on = now.active[look.label]
         positions = np.asarray(now.positions, float)
         layers.append(PointLayer("points", positions[on], colours[on], dot))
-        if (~on).any():
-            layers.append(PointLayer("off", positions[~on], colours[~on], OFF_SIZE))
+        off = ~on & ~np.isin(look.label, [part for part, _, _ in now.lent])
+        if off.any():
+            layers.append(PointLayer("off", positions[off], colours[off], OFF_SIZE))
+        inks = part_colours(len(look.part_names))
+        for part, there, _ in now.lent:
+            ink = np.tile(inks[part], (len(there), 1)) if by == "part" else heat(np.zeros(len(there)))
+            layers.append(PointLayer(f"lent {part}", np.asarray(there, float), ink.astype(np.uint8), dot))
         if moved is not None and before is not None:
             far = on & (moved > SMALLEST_MOVE)
             segments = np.stack([np.asarray(before.positions, float)[far], positions[far]], axis=1)

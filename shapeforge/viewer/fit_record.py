@@ -12,6 +12,7 @@ from shapeforge.viewer.fit_display import (
     TemplateLook,
     all_beliefs,
     best_beliefs,
+    fitted_points,
     looks_of,
     movement,
     record_round,
@@ -34,6 +35,9 @@ class FitRecord:
         """The newest live state; None when nothing has run since the project was opened."""
         self._disk: dict[str, list[FittedPoints]] = {}
         self._loaded: str | None = None
+        self._names: tuple[str, ...] = ()
+        self._templates: list[np.ndarray] = []
+        self._off: dict[int, tuple[str, ...]] = {}
 
     # -- live ------------------------------------------------------------------------------------------------------
 
@@ -66,10 +70,12 @@ class FitRecord:
         if state is None:
             return
         self._keep(state)
-        last = record_round(state, self.project.names, (), None)
+        last = record_round(state, self.project.fit_names, (), None)
+        recorded = self.project.round_figures()
+        self._templates = [figures["template"] for figures in recorded]
         self.rounds = {
             number: Round(number, last.of, figures["energy"], figures["change"], figures["sigma"])
-            for number, figures in enumerate(self.project.round_figures()[: last.number])
+            for number, figures in enumerate(recorded[: last.number])
         } | {last.number: last}
 
     @property
@@ -90,7 +96,7 @@ class FitRecord:
         if self.state is not None:
             if number != self.state.round or name not in self.project.names:
                 return None
-            one = record_round(self.state, self.project.names, (name,), None).points[name]
+            one = fitted_points(all_beliefs(self.state, self.project.names.index(name)), self.looks)
             self.rounds[number].points[name] = one
             return one
         recorded = self._read(name)
@@ -102,12 +108,14 @@ class FitRecord:
             if beliefs is None:
                 return []
             index = self.project.fit_names.index(name)
-            templates = [int(figures["template"][index]) for figures in self.project.round_figures()]
-            rounds = [
-                FittedPoints(np.asarray(points, np.float32), template, beliefs.active)
+            templates = [int(template[index]) for template in self._templates]
+            end = fitted_points(beliefs, self.looks)
+            rounds = [  # how a shape was turned is known at the end only: so are all its rounds shown
+                FittedPoints(
+                    np.asarray(beliefs.to_family(np.asarray(points, float)), np.float32), template, end.active, end.turn
+                )
                 for points, template in zip(self.project.rounds(name), templates, strict=False)
             ]
-            end = FittedPoints(np.asarray(beliefs.deformed, np.float32), int(beliefs.template), beliefs.active)
             newest = max(self.newest, 0)
             self._disk[name] = [*rounds[:newest], end] if len(rounds) >= newest else [end] * (newest + 1)
         return self._disk[name]
@@ -118,17 +126,33 @@ class FitRecord:
             return all_beliefs(self.state, self.project.names.index(name))
         return self.project.beliefs(name)
 
-    def off_elsewhere(self, part: int, name: str) -> tuple[str, ...]:
-        """Other shapes on which a part is switched off, by the newest beliefs."""
-        off = np.flatnonzero(~self.active[:, part]) if part < self.active.shape[1] else ()
-        return tuple(
-            self.project.names[t] for t in off if t < len(self.project.names) and self.project.names[t] != name
-        )
+    def off_on(self, part: int) -> tuple[str, ...]:
+        """Shapes that have no such part, by the newest beliefs: neither their own template's nor one lent to them."""
+        if part not in self._off:
+            off = np.flatnonzero(~self.active[:, part]).tolist() if part < self.active.shape[1] else []
+            state = self.state
+            if state is not None:  # of a fit from disk the table knows what was lent
+                off = [t for t in off if part not in lent_parts(state, t)]
+            self._off[part] = tuple(self._names[t] for t in off if t < len(self._names))
+        return self._off[part]
 
     def _keep(self, state: Any) -> None:
-        self.looks = looks_of(state)
+        self.looks, self._off = looks_of(state), {}
+        self._names = self.project.fit_names if self.state is None else self.project.names
         number = len(state.candidates) if hasattr(state, "candidates") else len(state.beliefs)
         self.active = np.stack([best_beliefs(state, t).active for t in range(number)])
+        if self.state is None:
+            for t in range(number):
+                self.active[t, list(lent_parts(state, t))] = True
+
+
+def lent_parts(state: Any, index: int) -> frozenset[int]:
+    """Parts of shape number ``index`` that another exemplar brings."""
+    if not hasattr(state, "candidates"):
+        return frozenset()
+    from shapeforge.deformation.exemplars import lenders
+
+    return frozenset(lenders(state.candidates[index]))
 
 
 def look_at(record: FitRecord, points: FittedPoints | None) -> TemplateLook | None:

@@ -5,6 +5,7 @@ No Qt here: the window and the notebook show the Displays made by :class:`Lightb
 
 from __future__ import annotations
 
+import time
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,8 +14,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
-from scipy.stats import chi2
+from scipy.special import gammainc
 
+from shapeforge.collection.surface import closest_points
 from shapeforge.deformation.hierarchy import deformed_family
 from shapeforge.viewer.display import (
     Caption,
@@ -27,13 +29,18 @@ from shapeforge.viewer.display import (
     face_colours,
     grid_of,
 )
-from shapeforge.viewer.palette import UNPAINTED, Theme, heat, rgb, tokens
+from shapeforge.viewer.fine_mesh import fine_mesh
+from shapeforge.viewer.fit_display import turned
+from shapeforge.viewer.fuzzy import MOST_BITS, Fuzzy, fuzzy_correspondence, part_bits, where_it_may_lie
+from shapeforge.viewer.palette import Theme, heat, rgb, tokens
 from shapeforge.viewer.session import Session
 
 CLOSE = 0.05  # diagonals: the confidence of a point is the chance that it lies this near to where it is shown
 GAP = 0.04  # diagonals: a deformed point this far off the surface counts for little
-FINEST_EDGE = 0.045  # diagonals: longer edges are halved for display, so that heat can vary over large faces
-MOST_TRIANGLES = 60_000
+FULL_PART_BITS = 1.0
+"""Entropy of a face's part shown as the hottest colour: two parts as likely as each other."""
+FARTHEST = 0.1
+"""Distance (diagonals) between two overlaid shapes shown as the hottest colour."""
 KEPT = 64
 
 
@@ -41,6 +48,7 @@ KEPT = 64
 class Known:
     """What the fit says of one shape's K corresponding points, without its mesh: small, so it is kept for all shapes.
 
+    Positions are turned as the family lies by ``turn`` (3, 3), so that shapes can be compared.
     ``spread`` (K,) is the standard deviation of each point in diagonals, ``confidence`` (K,) in 0..1, 0 where absent.
     """
 
@@ -48,6 +56,7 @@ class Known:
     existence: Bool[np.ndarray, " K"]
     spread: Float[np.ndarray, " K"]
     confidence: Float[np.ndarray, " K"]
+    turn: Float[np.ndarray, "3 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,55 +84,10 @@ class Corresponded:
         return self.known.existence
 
 
-def fine_mesh(
-    vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"], record: Int[np.ndarray, " N"],
-    longest: float = FINEST_EDGE, most: int = MOST_TRIANGLES,
-) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "M 3"], Int[np.ndarray, " M"]]:  # fmt: skip
-    """The same surface with edges longer than ``longest`` halved until none is, or there are ``most`` triangles.
-
-    Each split edge gets one new vertex that its neighbours share, so there are no cracks.
-    """
-    vertices, triangles, record = np.asarray(vertices, float), np.asarray(triangles), np.asarray(record)
-    for _ in range(8):
-        ends = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-        long = np.linalg.norm(vertices[ends[:, 0]] - vertices[ends[:, 1]], axis=1) > longest
-        if not long.any() or len(triangles) + 2 * long.sum() > most:
-            break
-        edges, which = np.unique(ends[long], axis=0, return_inverse=True)
-        middle = np.full(len(ends), -1)
-        middle[long] = len(vertices) + which
-        vertices = np.vstack([vertices, vertices[edges].mean(axis=1)])
-        triangles, record = _split(triangles, middle.reshape(-1, 3), record)
-    return vertices, triangles, record
-
-
-def _split(triangles: np.ndarray, middle: np.ndarray, record: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles with some edges' middles given (N, 3), -1 where an edge stays; into one to four triangles each."""
-    count = (middle >= 0).sum(axis=1)
-    parts, owners = [triangles[count == 0]], [record[count == 0]]
-    one = np.flatnonzero(count == 1)
-    turn = middle[one].argmax(axis=1)[:, None]
-    a, b, c = (np.take_along_axis(triangles[one], (turn + i) % 3, axis=1)[:, 0] for i in range(3))
-    m = middle[one].max(axis=1)
-    parts += [np.stack([a, m, c], axis=1), np.stack([m, b, c], axis=1)]
-    owners += [record[one]] * 2
-    two = np.flatnonzero(count == 2)
-    whole = (middle[two] < 0).argmax(axis=1)[:, None]  # the edge that stays: a to b; c is opposite
-    a, b, c = (np.take_along_axis(triangles[two], (whole + i) % 3, axis=1)[:, 0] for i in range(3))
-    bc, ca = (np.take_along_axis(middle[two], (whole + i) % 3, axis=1)[:, 0] for i in (1, 2))
-    parts += [np.stack([a, b, bc], axis=1), np.stack([a, bc, ca], axis=1), np.stack([ca, bc, c], axis=1)]
-    owners += [record[two]] * 3
-    three = np.flatnonzero(count == 3)
-    (a, b, c), (ab, bc, ca) = triangles[three].T, middle[three].T
-    parts += [np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
-    owners += [record[three]] * 4
-    return np.concatenate(parts), np.concatenate(owners)
-
-
 def confidence_of(spread: Float[np.ndarray, " K"], gap: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
     """Chance (K,) that a point with this isotropic standard deviation lies within CLOSE of where it is shown, times a
     penalty for the ``gap`` (diagonals) between the deformed point and the surface."""
-    near = chi2.cdf((CLOSE / np.maximum(spread, 1e-6)) ** 2, 3)
+    near = gammainc(1.5, 0.5 * (CLOSE / np.maximum(spread, 1e-6)) ** 2)  # chi squared, three degrees of freedom
     return near * np.exp(-0.5 * (gap / GAP) ** 2)
 
 
@@ -153,6 +117,11 @@ class Lightbox:
         self._shapes: OrderedDict[str, Corresponded] = OrderedDict()
         self._known: dict[str, Known] = {}
         self._layers: dict[tuple, MeshLayer] = {}
+        self._fuzzy: dict[str, Fuzzy | None] = {}
+        self._overlaid: tuple[tuple, Display] | None = None
+        self.names: tuple[str, ...] = ()
+        self.in_slices = False
+        """Whether somebody calls `read_some` until all is read; else shapes are read when first asked for."""
 
     def reload(self) -> bool:
         """Look at the project's present fit; True when it is another than before."""
@@ -164,12 +133,16 @@ class Lightbox:
         self._shapes.clear()
         self._known.clear()
         self._layers.clear()
+        self._fuzzy.clear()
+        self._overlaid = None
         self.names = () if project is None else project.fit_names
         hierarchy = None if project is None else project.hierarchy()
         if hierarchy is not None:
             fit = project.fit()
             self.top, self._hierarchy = hierarchy.top, hierarchy
             self._noise = 0.01**2 if fit is None else float(np.mean(fit.covariances.unary))
+            # of the fit only what all shapes share is kept: memory does not grow with the collection
+            self._shared = None if fit is None else (fit.templates, fit.covariances)
             self.coordinate = coordinate_colours(self.top.points)
         return True
 
@@ -183,12 +156,31 @@ class Lightbox:
         if name not in self._known:
             project = self.session.project
             positions, existence = project.positions(name), np.asarray(project.existence(name), bool)
-            deformed, variance, _ = deformed_family(project.beliefs(name), self._hierarchy)
+            beliefs = project.beliefs(name)
+            deformed, variance, _ = deformed_family(beliefs, self._hierarchy)
             gap = np.nan_to_num(np.linalg.norm(deformed - positions, axis=1), nan=1.0)
             spread = np.sqrt(variance + self._noise)
             sure = np.where(existence, confidence_of(spread, gap), 0.0)
-            self._known[name] = Known(np.asarray(positions, float), existence, spread, sure)
+            turn = np.asarray(beliefs.pose, float)
+            self._known[name] = Known(turned(positions, turn), existence, spread, sure, turn)
         return self._known[name]
+
+    @property
+    def unread(self) -> tuple[str, ...]:
+        """Shapes of which nothing is known yet.  While there are any, sums over the family are over the others."""
+        return tuple(name for name in self.names if name not in self._known) if self.in_slices else ()
+
+    def read_some(self, seconds: float) -> bool:
+        """Read what is known of unread shapes for ``seconds``; True when all are read."""
+        end = time.monotonic() + seconds
+        for name in self.unread:
+            self.known(name)
+            if time.monotonic() > end:
+                break
+        return not self.unread
+
+    def _at_hand(self) -> tuple[str, ...]:
+        return tuple(name for name in self.names if name in self._known) if self.in_slices else self.names
 
     def shape(self, name: str) -> Corresponded:
         """One fitted shape, loaded now when it has not been."""
@@ -197,8 +189,8 @@ class Lightbox:
             return self._shapes[name]
         project = self.session.project
         mesh = project.shapes[list(project.names).index(name)].mesh
-        vertices, triangles, face = fine_mesh(mesh.vertices, mesh.triangles, mesh.face_of_triangle)
         known = self.known(name)
+        vertices, triangles, face = fine_mesh(turned(mesh.vertices, known.turn), mesh.triangles, mesh.face_of_triangle)
         positions, existence = known.positions, known.existence
         present = np.flatnonzero(existence & np.isfinite(positions).all(axis=1))
         nearest = np.zeros(len(vertices), int)
@@ -209,7 +201,26 @@ class Lightbox:
         while len(self._shapes) > KEPT:
             old, _ = self._shapes.popitem(last=False)
             self._layers = {key: layer for key, layer in self._layers.items() if key[0] != old}
+            self._fuzzy.pop(old, None)
         return made
+
+    def is_ready(self, name: str) -> bool:
+        """Whether the heat of a point on a shape can be shown at once."""
+        return name in self._fuzzy
+
+    def fuzzy(self, name: str) -> Fuzzy | None:
+        """The fuzzy correspondence of a shape, computed when first asked for; None when its fit is not complete."""
+        if name not in self._fuzzy:
+            project, shape = self.session.project, self.shape(name)
+            beliefs = project.beliefs(name)
+            found = None
+            if self._shared is not None and beliefs is not None:
+                own = shape.vertices @ shape.known.turn  # back to how the shape lies
+                found = fuzzy_correspondence(
+                    project.shapes.named(name), beliefs, *self._shared, own, project.labels(name)
+                )
+            self._fuzzy[name] = found
+        return self._fuzzy[name]
 
     # ---- questions -----------------------------------------------------------------------------------------------
 
@@ -231,7 +242,7 @@ class Lightbox:
     def distances(self, first: int, second: int) -> dict[str, float]:
         """Straight distance in diagonals between two template points on every shape that has both."""
         found = {}
-        for name in self.names:
+        for name in self._at_hand():
             positions = self.known(name).positions
             length = float(np.linalg.norm(positions[first] - positions[second]))
             if np.isfinite(length):
@@ -240,7 +251,7 @@ class Lightbox:
 
     def present_on(self, point: int) -> tuple[str, ...]:
         """Names of the shapes that have a template point."""
-        return tuple(name for name in self.names if self.known(name).existence[point])
+        return tuple(name for name in self._at_hand() if self.known(name).existence[point])
 
     def describe(self, point: int) -> str:
         """Words for a template point."""
@@ -306,40 +317,66 @@ class Lightbox:
         return self._layers[key]
 
     def _coloured(self, shape: Corresponded, colour_by: str, picked: int | None, theme: Theme) -> MeshLayer:
-        if colour_by == "part":
-            labels = self.session.project.face_labels(shape.name)
-            colours = face_colours(labels, len(self.top.part_names))[shape.face]
-            return MeshLayer("shape", shape.vertices, shape.triangles, colours)
+        plain = np.array(rgb(tokens(theme)["shape"]), np.uint8)
+        project = self.session.project
+        if colour_by in ("part", "part_entropy"):
+            if colour_by == "part":
+                of_face = face_colours(project.face_labels(shape.name), len(self.top.part_names))
+            else:
+                of_face = heat(part_bits(project.face_probabilities(shape.name)) / FULL_PART_BITS)
+            return MeshLayer("shape", shape.vertices, shape.triangles, of_face[shape.face])
+        colours = np.tile(plain, (len(shape.vertices), 1))
+        fuzzy = (
+            self.fuzzy(shape.name)
+            if colour_by in ("entropy", "spread") and (picked, colour_by) != (None, "spread")
+            else None
+        )
         if colour_by == "coordinate":
             colours = self.coordinate[shape.nearest]
-        elif colour_by == "spread" and picked is not None and shape.existence[picked]:
-            away = ((shape.vertices - shape.positions[picked]) ** 2).sum(axis=1)
-            share = np.exp(-0.5 * away / max(float(shape.known.spread[picked]), FINEST_EDGE / 1.5) ** 2)
-            # Only where the point's own part is: a place on another part is not where it may lie.
-            share = share * (self.top.label[shape.nearest] == self.top.label[picked])
-            colours = heat(share)
-            colours[share < 0.02] = rgb(tokens(theme)["shape"])
-        else:
-            colours = np.broadcast_to(np.array(rgb(tokens(theme)["shape"]), np.uint8), shape.vertices.shape).copy()
+        elif fuzzy is not None and colour_by == "entropy":
+            colours = heat(fuzzy.at_vertices(fuzzy.bits) / MOST_BITS)
+        elif fuzzy is not None and picked is not None and shape.existence[picked]:
+            share = fuzzy.at_vertices(where_it_may_lie(fuzzy, self._hierarchy, self._shared[0], picked))
+            warm = share >= 0.02
+            colours[warm] = heat(share[warm])
         return MeshLayer("shape", shape.vertices, shape.triangles, colours, smooth_colours=True)
 
     def overlay(self, first: str, second: str, moves: int = 90) -> Display:
-        """Two shapes in one view: the first in grey, the second see-through, lines from point to point."""
-        a, b = self.shape(first), self.shape(second)
+        """Two shapes in one view: the first coloured by its distance to the second, which is see-through; lines from
+        point to point."""
         theme = self.session.theme
-        grey = np.tile(np.array(rgb(UNPAINTED), np.uint8), (len(a.triangles), 1))
+        key = (first, second, theme)
+        if self._overlaid is not None and self._overlaid[0] == key:
+            return self._overlaid[1]
+        a, b = self.shape(first), self.shape(second)
+        away = self.distance_to(first, second)
         blue = np.tile(np.array(rgb(tokens(theme)["accent"]), np.uint8), (len(b.triangles), 1))
         both = np.flatnonzero(np.isfinite(a.positions).all(axis=1) & np.isfinite(b.positions).all(axis=1))
         both = both[:: max(len(both) // moves, 1)]
         segments = np.stack([a.positions[both], b.positions[both]], axis=1)
         layers = (
-            MeshLayer("shape", a.vertices, a.triangles, grey),
-            MeshLayer("other", b.vertices, b.triangles, blue, opacity=0.35, pickable=False),
+            MeshLayer("shape", a.vertices, a.triangles, heat(away / FARTHEST), smooth_colours=True),
+            MeshLayer("other", b.vertices, b.triangles, blue, opacity=0.22, pickable=False),
             LineLayer("moves", segments, rgb(tokens(theme)["text"]), 1.0, 0.4),
         )
         mean = float(np.linalg.norm(segments[:, 0] - segments[:, 1], axis=1).mean()) if len(both) else float("nan")
-        words = ((f"{first} and {second}", "strong"), (f"points {100 * mean:.1f}% of size apart", "plain"))
-        return Display((View(layers, captions=(Caption("top left", words),), name=first),))
+        of_face = away[a.triangles].mean(axis=1)
+        corners = a.vertices[a.triangles]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        apart = float((of_face * area).sum() / max(area.sum(), 1e-12))
+        words = (
+            (f"{first}, by its distance to {second}", "strong"),
+            (f"surface {100 * apart:.1f}% of size apart in the mean, at most {100 * away.max():.1f}%", "plain"),
+            (f"the same points {100 * mean:.1f}% apart", "plain"),
+        )
+        self._overlaid = (key, Display((View(layers, captions=(Caption("top left", words),), name=first),)))
+        return self._overlaid[1]
+
+    def distance_to(self, first: str, second: str) -> Float[np.ndarray, " V"]:
+        """Distance (V,) in diagonals of every shown vertex of a shape to the other's surface, both turned alike."""
+        project, turn = self.session.project, self.known(second).turn
+        own = self.shape(first).vertices @ turn  # as the second shape lies
+        return closest_points(project.shapes.named(second).mesh, own)[2]
 
 
 def _place(position: np.ndarray) -> tuple[float, float, float]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pyvista as pv
 from jaxtyping import Float, Int
 from scipy.ndimage import gaussian_filter
-from vtkmodules.util.numpy_support import numpy_to_vtk
-from vtkmodules.vtkCommonDataModel import vtkImageData
+from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
+from vtkmodules.vtkCommonCore import vtkIdTypeArray, vtkPoints
+from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkImageData, vtkPolyData
 from vtkmodules.vtkFiltersCore import vtkPolyDataNormals
 from vtkmodules.vtkFiltersSources import vtkPlaneSource
 from vtkmodules.vtkRenderingCore import vtkActor, vtkCamera, vtkLight, vtkPolyDataMapper, vtkRenderer, vtkTexture
@@ -18,16 +18,33 @@ AMBIENT, DIFFUSE, SPECULAR = 0.36, 0.84, 0.1
 FLOOR_PIXELS = 128
 
 
+def polydata(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"]) -> vtkPolyData:
+    """Triangles as VTK has them.  (PyVista would bring matplotlib along, two seconds before the first picture.)"""
+    points, cells, data = vtkPoints(), vtkCellArray(), vtkPolyData()
+    points.SetData(numpy_to_vtk(np.ascontiguousarray(vertices), deep=True))
+    index = np.ascontiguousarray(triangles, np.int64)
+    offsets = np.arange(0, 3 * len(index) + 1, 3, dtype=np.int64)
+    id_type = vtkIdTypeArray().GetDataType()
+    cells.SetData(
+        numpy_to_vtk(offsets, deep=True, array_type=id_type), numpy_to_vtk(index.ravel(), deep=True, array_type=id_type)
+    )
+    data.SetPoints(points)
+    data.SetPolys(cells)
+    return data
+
+
 def surface(
     vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"], angle: float = FEATURE_ANGLE
-) -> tuple[pv.PolyData, Int[np.ndarray, " W"]]:
+) -> tuple[vtkPolyData, Int[np.ndarray, " W"]]:
     """A polydata with normals split at creases of ``angle`` degrees, and the vertex (W,) each of its points came from.
 
     Coincident vertices are welded for the normals only, so soups shade smoothly; triangle k stays cell k.
     """
     welded, first, index = _weld(vertices)
-    mesh = pv.PolyData.from_regular_faces(welded.astype(np.float32), index[triangles])
-    mesh.point_data["origin"] = first
+    mesh = polydata(welded.astype(np.float32), index[triangles])
+    origins = numpy_to_vtk(np.asarray(first, np.int64), deep=True)
+    origins.SetName("origin")
+    mesh.GetPointData().AddArray(origins)
     normals = vtkPolyDataNormals()
     normals.SetInputData(mesh)
     normals.SetFeatureAngle(angle)
@@ -35,9 +52,9 @@ def surface(
     normals.ConsistencyOff()
     normals.NonManifoldTraversalOff()
     normals.Update()
-    split = pv.wrap(normals.GetOutput())
-    origin = np.asarray(split.point_data["origin"])
-    split.point_data.remove("origin")
+    split = normals.GetOutput()
+    origin = vtk_to_numpy(split.GetPointData().GetArray("origin")).copy()
+    split.GetPointData().RemoveArray("origin")
     return split, origin
 
 

@@ -6,13 +6,13 @@ from collections import OrderedDict
 from dataclasses import dataclass
 
 import numpy as np
-import pyvista as pv
 from jaxtyping import Float
 from vtkmodules.vtkCommonCore import mutable
 from vtkmodules.vtkCommonDataModel import vtkStaticCellLocator
 from vtkmodules.vtkRenderingCore import vtkCamera
 
 from shapeforge.viewer.display import MeshLayer
+from shapeforge.viewer.look import polydata
 
 Number = float | int
 Rectangle = tuple[Number, Number, Number, Number]
@@ -65,9 +65,7 @@ class Picker:
             self._locators.move_to_end(key)
             return self._locators[key][1]
         locator = vtkStaticCellLocator()
-        locator.SetDataSet(
-            pv.PolyData.from_regular_faces(np.asarray(layer.vertices, np.float64), np.asarray(layer.triangles))
-        )
+        locator.SetDataSet(polydata(np.asarray(layer.vertices, np.float64), np.asarray(layer.triangles)))
         locator.BuildLocator()
         self._locators[key] = (layer, locator)  # the layer keeps the arrays alive, so their ids stay theirs
         while len(self._locators) > KEPT_LOCATORS:

@@ -38,15 +38,19 @@ class _Studio:
         # Without a screen VTK must be told to use EGL, else it complains about X first.
         if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
             os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
-        import pyvista as pv
+        # The classes of VTK that draw are found by these imports, not by their names.
+        from vtkmodules import vtkRenderingFreeType, vtkRenderingOpenGL2  # noqa: F401
+        from vtkmodules.vtkRenderingCore import vtkRenderWindow
 
         from shapeforge.viewer.scene import Scene
 
         self.thread = threading.get_ident()
-        self.plotter = pv.Plotter(off_screen=True, window_size=(64, 64))
-        self.plotter.ren_win.SetMultiSamples(0)
-        self.plotter.ren_win.SetAlphaBitPlanes(1)
-        self.scene = Scene(self.plotter, lambda: None)
+        self.ren_win = vtkRenderWindow()
+        self.ren_win.SetOffScreenRendering(1)
+        self.ren_win.SetSize(64, 64)
+        self.ren_win.SetMultiSamples(0)
+        self.ren_win.SetAlphaBitPlanes(1)
+        self.scene = Scene(self, lambda: None)
 
     def take(
         self, view: View, width: int, height: int, theme: Theme, ground: tuple[int, int, int] | None,
@@ -54,7 +58,7 @@ class _Studio:
     ) -> np.ndarray:  # fmt: skip
         from shapeforge.viewer.look import VIEW_DIRECTION, frame_of, place_camera
 
-        self.plotter.ren_win.SetSize(width * OVERSAMPLING, height * OVERSAMPLING)
+        self.ren_win.SetSize(width * OVERSAMPLING, height * OVERSAMPLING)
         scene = self.scene
         scene.scale = float(OVERSAMPLING)
         scene.shadow = SHADOW[theme] if shadow is None else shadow
@@ -105,7 +109,7 @@ def close_studio() -> None:
     global _studio
     if _studio is not None:
         _studio.scene.clear()
-        _studio.plotter.close()
+        _studio.ren_win.Finalize()
         _studio = None
 
 

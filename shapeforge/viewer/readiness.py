@@ -41,6 +41,34 @@ def needs_rest(session: Session) -> Verdict:
     return YES
 
 
+QUALITIES: dict[str, dict[str, int]] = {
+    "draft": {"rounds": 4, "inner": 2}, "normal": {"rounds": 10, "inner": 3}, "fine": {"rounds": 20, "inner": 3}
+}  # fmt: skip
+"""How well a fit is done: its options."""
+
+
+def fit_options(session: Session) -> dict[str, int]:
+    """Options of the next fit: those of the quality chosen, else none (then those of the last run count)."""
+    return dict(QUALITIES.get(session.quality, {}))
+
+
+def chosen_quality(session: Session) -> str:
+    """The quality of the next fit: the one chosen, else that of the last run; "" when its options are of none."""
+    if session.quality or session.project is None:
+        return session.quality
+    record = session.project.stage_record("fit")
+    if record is None:
+        return "normal"
+    last = record.get("options", {})
+    return next((name for name, options in QUALITIES.items() if options.items() <= last.items()), "")
+
+
+def other_quality(session: Session) -> bool:
+    """Whether the next fit is to be done otherwise than the last one was."""
+    record = session.project.stage_record("fit") if session.project is not None else None
+    return record is not None and not fit_options(session).items() <= record.get("options", {}).items()
+
+
 _groups_read: WeakKeyDictionary[Any, tuple[Any, Any]] = WeakKeyDictionary()
 
 

@@ -15,6 +15,8 @@ from typing import Any, Literal
 from shapeforge.viewer.session import Session
 
 Outcome = Literal["done", "stopped", "failed"]
+ANNOUNCEMENTS = ("stale", "partial")
+"""Phases in which a stage only says what it is about to do: no step of its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +119,7 @@ class Runner:
                 except StopIteration:
                     break
                 with self._wake:
-                    if self._mode == "step":
+                    if self._mode == "step" and getattr(state, "phase", "") not in ANNOUNCEMENTS:
                         self._mode = "pause"  # before the news of it, so that who hears them finds it waiting
                 self._post(News(name, state, (state,), None, None, time.monotonic() - begin))
             else:

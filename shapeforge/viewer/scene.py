@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-import pyvista as pv
 from jaxtyping import UInt8
 from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
 from vtkmodules.vtkCommonCore import VTK_ID_TYPE, vtkDataArray, vtkPoints, vtkUnsignedCharArray
@@ -174,11 +174,12 @@ class Cell:
 class Scene:
     """Shows Displays in a render window.  ``render`` is called once when anything changed.
 
-    Use from the thread that owns the window only.  ``scale`` is device pixels per logical pixel.
+    Use from the thread that owns the window only.  ``plotter.ren_win`` is the render window, ``scale`` device pixels
+    per logical pixel.
     """
 
     def __init__(
-        self, plotter: pv.BasePlotter, render: Callable[[], None], *, background: Colour = (23, 24, 27),
+        self, plotter: Any, render: Callable[[], None], *, background: Colour = (23, 24, 27),
         line: Colour = (52, 54, 60), scale: float = 1.0,
     ) -> None:  # fmt: skip
         self.window = plotter.ren_win

@@ -80,8 +80,9 @@ class Session:
     """State of the window; every assignment that changes a field emits ``events.<field>(new, old)``.
 
     ``part`` is the part painted with (index), ``brush_size`` a radius in diagonals, ``watched`` the shapes seen during
-    a fit, ``round`` the recorded round looked at (None: the newest), ``compare`` the shapes compared, ``picked`` a
-    template point (index), ``sliders`` direction index -> value (standard deviations), ``parts_on`` part index ->
+    a fit, ``quality`` how well the next fit is done (a key of ``readiness.QUALITIES``; "": as the one before),
+    ``round`` the recorded round looked at (None: the newest), ``compare`` the shapes compared, ``picked`` a template
+    point (index), ``sliders`` direction index -> value (standard deviations), ``parts_on`` part index ->
     existence asked of a draw.  Assign new tuples and dicts; changing a dict in place tells nobody.
     """
 
@@ -107,6 +108,7 @@ class Session:
     compare: tuple[str, ...] = ()
     selected: tuple[str, ...] = ()
     picked: int | None = None
+    quality: str = ""
     sliders: dict[int, float] = field(default_factory=dict)
     parts_on: dict[int, bool] = field(default_factory=dict)
     linked: bool = True
@@ -137,6 +139,7 @@ class Session:
         """Look at another project (None: none): selections of the old one are dropped first."""
         self.shape, self.selected, self.watched, self.compare = None, (), (), ()
         self.round, self.picked, self.sliders, self.parts_on = None, None, {}, {}
+        self.quality = ""
         self.progress, self.history, self.place = None, Edits(), "collection"
         self.revision += 1
         self.project = project

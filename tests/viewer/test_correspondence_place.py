@@ -8,11 +8,15 @@ import json
 import numpy as np
 import pytest
 from PySide6.QtCore import QPoint, Qt
+from PySide6.QtWidgets import QFrame, QLabel, QPushButton
 
 from shapeforge.store import Project
-from shapeforge.viewer.lightbox import CLOSE, Lightbox, confidence_of, describe_point, fine_mesh
-from shapeforge.viewer.palette import part_colours
+from shapeforge.viewer.fine_mesh import fine_mesh
+from shapeforge.viewer.fuzzy import MOST_BITS, fuzzy_correspondence, part_bits, where_it_may_lie
+from shapeforge.viewer.lightbox import CLOSE, FARTHEST, Lightbox, confidence_of, describe_point
+from shapeforge.viewer.palette import heat, part_colours
 from shapeforge.viewer.session import Session
+from tests.viewer.turned import turn_shape
 
 LEFT, NONE = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
 CONTROL = Qt.KeyboardModifier.ControlModifier
@@ -181,7 +185,7 @@ def test_landmarks_are_kept_with_the_project_and_exported(lightbox, qtbot, tmp_p
 def test_a_correction_goes_to_paint_with_the_shape(lightbox, qtbot):
     click(qtbot, lightbox, spot(lightbox, 2, seen_points(lightbox, 2)[0]))
     name = lightbox.names[2]
-    assert lightbox.actions.run("correct")
+    assert lightbox.actions.run("correct_here")
     assert lightbox.session.place == "paint" and lightbox.session.shape == name
 
 
@@ -245,3 +249,231 @@ def test_a_click_just_beside_a_thin_piece_still_means_it(lightbox, qtbot):
     click(qtbot, lightbox, beside)
     assert lightbox.session.picked is not None and lightbox.session.shape == lightbox.names[0]
     assert view.pick_near(left + 3, top + 3) is None, "the ground is no shape"
+
+
+# -- turned shapes ---------------------------------------------------------------------------------------------------
+
+QUARTER = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+"""A quarter turn about the vertical."""
+
+
+def test_a_shape_explained_after_a_turn_is_shown_as_the_family_lies(fitted, open_window, qtbot):
+    name = fitted.names[-1]
+    position = fitted.positions(name)
+    turn_shape(fitted, name, QUARTER)
+    fitted = Project.open(fitted.path)
+    box = open_window(fitted, "correspondence").places["correspondence"].box
+    assert not np.allclose(fitted.positions(name), position, equal_nan=True), "in its file it lies otherwise"
+    np.testing.assert_allclose(box.known(name).positions, position, atol=1e-6)
+    np.testing.assert_allclose(np.asarray(box.known(name).turn), QUARTER)
+    shape = box.shape(name)
+    apart = np.linalg.norm(shape.vertices[:, None] - position[fitted.existence(name)][None, :40], axis=2)
+    assert apart.min(axis=0).max() < 0.06, "the mesh lies as its points do"
+    other = fitted.names[0]
+    away = box.distance_to(name, other)
+    back = box.distance_to(other, name)
+    assert away.max() < 0.6 and back.max() < 0.6
+
+
+def test_landmarks_of_a_turned_shape_are_exported_as_it_lies_in_its_file(fitted, open_window, tmp_path):
+    name = fitted.names[-1]
+    turn_shape(fitted, name, QUARTER)
+    fitted = Project.open(fitted.path)
+    place = open_window(fitted, "correspondence").places["correspondence"]
+    point = int(np.flatnonzero(fitted.existence(name))[0])
+    place.strip.keep(point)
+    place.strip.export(tmp_path / "marks.csv")
+    with (tmp_path / "marks.csv").open(newline="") as file:
+        row = next(row for row in csv.DictReader(file) if row["shape"] == name)
+    expected = fitted.shapes.named(name).frame.to_input(fitted.positions(name)[point])
+    assert np.allclose([float(row[axis]) for axis in "xyz"], expected, rtol=1e-4, atol=1e-4)
+
+
+# -- fuzzy -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_fuzzy_correspondence_is_the_fits_own(fitted):
+    name, state = fitted.names[1], fitted.fit()
+    beliefs, shape = fitted.beliefs(name), fitted.shapes.named(fitted.names[1])
+    fuzzy = fuzzy_correspondence(shape, beliefs, state.templates, state.covariances, shape.points)
+    q = fuzzy.q[beliefs.template]
+    sums = np.asarray(q.sum(axis=1)).ravel()
+    np.testing.assert_allclose(sums[sums > 0], 1, atol=1e-5)
+    dense = q.toarray()
+    literal = np.array([-sum(p * np.log2(p) for p in row if p > 0) for row in dense])
+    np.testing.assert_allclose(fuzzy.bits, literal, atol=1e-6)
+    hierarchy = fitted.hierarchy()
+    point = int(np.flatnonzero(fitted.existence(name))[3])
+    share = where_it_may_lie(fuzzy, hierarchy, state.templates, point)
+    assert share.min() >= 0 and share.max() <= 1 + 1e-6
+    nearest = np.linalg.norm(shape.points - fitted.positions(name)[point], axis=1)
+    assert nearest[share.argmax()] < 0.1 < nearest[share < 0.01].max()
+
+
+def test_entropy_of_parts_is_one_bit_for_a_coin_toss():
+    np.testing.assert_allclose(
+        part_bits(np.array([[0.5, 0.5, 0], [1, 0, 0], [0.25, 0.25, 0.5]])), [1, 0, 1.5], atol=1e-9
+    )
+
+
+def test_colours_by_uncertainty_are_the_entropy_and_say_so(lightbox, qtbot):
+    lightbox._colour_chosen("entropy")
+    name, layer = lightbox.names[0], lightbox.view.shown.views[0].layers[0]
+    fuzzy = lightbox.box.fuzzy(name)
+    assert np.array_equal(layer.colours, heat(fuzzy.at_vertices(fuzzy.bits) / MOST_BITS))
+    assert lightbox.inspector.legend[1].text() == "bits"
+    lightbox._colour_chosen("part_entropy")
+    shape, layer = lightbox.box.shape(name), lightbox.view.shown.views[0].layers[0]
+    bits = part_bits(lightbox.session.project.face_probabilities(name))
+    assert np.array_equal(layer.colours, heat(bits)[shape.face])
+    qtbot.waitUntil(lambda: lightbox.view.at_rest, timeout=20000)
+    warm = lightbox.view.picture().astype(int)
+    assert (warm[..., 0] - warm[..., 2] > 60).mean() > 1e-4, "what is unsure is warm on the screen"
+
+
+# -- by keyboard -----------------------------------------------------------------------------------------------------
+
+
+def press(qtbot, place, key, modifiers=NONE) -> None:
+    qtbot.keyClick(place.centre, key, modifiers)
+
+
+def test_everything_by_keyboard(lightbox, qtbot):
+    session, shift = lightbox.session, Qt.KeyboardModifier.ShiftModifier
+    session.shape = None
+    press(qtbot, lightbox, Qt.Key.Key_Right)
+    assert session.shape == lightbox.names[0]
+    press(qtbot, lightbox, Qt.Key.Key_Right)
+    assert session.shape == lightbox.names[1] and lightbox.view.shown.views[1].selected
+    press(qtbot, lightbox, Qt.Key.Key_Right, shift)
+    first = session.picked
+    assert first is not None
+    press(qtbot, lightbox, Qt.Key.Key_M)
+    assert lightbox.second == first
+    for _ in range(3):
+        press(qtbot, lightbox, Qt.Key.Key_Down, shift)
+    assert session.picked == first and lightbox.second != first
+    at = [lightbox.view.place_of(lightbox.box.known(session.shape).positions[k], 1) for k in (first, lightbox.second)]
+    assert at[1][1] > at[0][1] + 2, "it went down"
+    press(qtbot, lightbox, Qt.Key.Key_S)
+    press(qtbot, lightbox, Qt.Key.Key_Left)
+    press(qtbot, lightbox, Qt.Key.Key_S)
+    assert session.selected == (lightbox.names[1], lightbox.names[0])
+    press(qtbot, lightbox, Qt.Key.Key_Escape)
+    assert session.picked is None and lightbox.second is None
+
+
+def test_pages_and_the_search_reach_every_shape(lightbox, qtbot):
+    lightbox._count_chosen("4")
+    first = lightbox.names
+    assert lightbox.actions.verdict("previous_page")[0] is False
+    press(qtbot, lightbox, Qt.Key.Key_PageDown)
+    assert len(lightbox.names) == 4 and not set(lightbox.names) & set(first)
+    assert [view.name for view in lightbox.view.shown.views] == list(lightbox.names)
+    assert lightbox.actions.verdict("next_page")[0] is False
+    lightbox.session.shape = first[2]  # as the search does
+    assert lightbox.names == first and lightbox.view.shown.views[2].selected
+    qtbot.mouseClick(lightbox.after, LEFT)
+    assert lightbox.page == 1
+
+
+# -- overlay ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_overlay_is_coloured_by_distance(lightbox, qtbot):
+    a, b = lightbox.names[:2]
+    lightbox.session.selected = (a, b)
+    press(qtbot, lightbox, Qt.Key.Key_O)
+    layer = lightbox.view.shown.views[0].layers[0]
+    away = lightbox.box.distance_to(a, b)
+    assert np.array_equal(layer.colours, heat(away / FARTHEST))
+    vertices, other = lightbox.box.shape(a).vertices, lightbox.box.shape(b)
+    to_vertices = np.linalg.norm(vertices[::50, None] - other.vertices[None], axis=2).min(axis=1)
+    assert (away[::50] <= to_vertices + 1e-9).all() and away.max() > 0.005
+    assert "at most" in lightbox.view.shown.views[0].captions[0].lines[1][0]
+    assert lightbox.inspector.legend_title.text() == "Distance of the surfaces"
+    press(qtbot, lightbox, Qt.Key.Key_O, Qt.KeyboardModifier.ShiftModifier)
+    assert lightbox.session.selected == (b, a) and lightbox.view.shown.views[0].name == b
+    qtbot.waitUntil(lambda: lightbox.view.at_rest, timeout=20000)
+    picture = lightbox.view.picture().astype(int)
+    assert (picture[..., 0] - picture[..., 2] > 60).mean() > 1e-4, "what is far is warm on the screen"
+
+
+# -- landmarks -------------------------------------------------------------------------------------------------------
+
+
+def test_landmarks_are_undone_redone_renamed_and_all_of_them_shown(lightbox, qtbot):
+    session, strip = lightbox.session, lightbox.strip
+    points = lightbox.box.known(lightbox.names[0]).existence.nonzero()[0][:9].tolist()
+    for point in points:
+        session.picked = int(point)
+        press(qtbot, lightbox, Qt.Key.Key_K)
+    assert len(strip.marks) == len(strip.shown) == 9
+    card = strip.shown[0]
+    qtbot.mouseDClick(card, LEFT)
+    card.name.editor.setText("top")
+    qtbot.keyClick(card.name.editor, Qt.Key.Key_Return)
+    assert strip.marks[0]["name"] == "top" == strip.read()[0]["name"]
+    qtbot.keyClick(strip.shown[-1], Qt.Key.Key_Delete)
+    assert len(strip.marks) == 8
+    session.undo()
+    assert len(strip.read()) == 9
+    session.undo()
+    assert strip.read()[0]["name"] != "top"
+    session.redo()
+    assert strip.read()[0]["name"] == "top" == strip.shown[0].name.text()
+    strip.rename(strip.marks[1], "top")
+    assert session.status_kind == "warning" and strip.marks[1]["name"] != "top"
+
+
+def test_landmarks_are_found_again_on_another_fit(lightbox, qtbot):
+    click(qtbot, lightbox, spot(lightbox, 0, seen_points(lightbox, 0)[4]))
+    assert lightbox.actions.run("keep_landmark")
+    mark = lightbox.strip.marks[0]
+    path = lightbox.session.project.path / "landmarks_kept.json"
+    kept = json.loads(path.read_text())
+    kept["fit"] = "another"
+    kept["landmarks"][0]["point"] = 0
+    path.write_text(json.dumps(kept))
+    assert [one["point"] for one in lightbox.strip.read()] == [mark["point"]], "by its place on the shape"
+
+
+def test_results_that_became_stale_say_so(lightbox, qtbot, fitted):
+    note = next(one for one in lightbox.inspector.findChildren(QFrame) if one.objectName() == "stale")
+    assert not note.isVisible()
+    project = lightbox.session.project
+    name = project.labelled[0]
+    labels = project.labels(name).copy()
+    labels[:5] = -1
+    project.set_labels(name, labels)
+    lightbox.session.touch("labels")
+    assert note.isVisible()
+    words = " ".join(one.text() for one in note.findChildren(QLabel))
+    assert "labels" in words and "old fit" in words
+    link = next(one for one in note.findChildren(QPushButton))
+    qtbot.mouseClick(link, LEFT)
+    assert lightbox.session.place == "fit"
+
+
+def test_a_large_family_is_read_little_by_little(fitted, open_window, qtbot, monkeypatch):
+    monkeypatch.setattr("shapeforge.viewer.qt.correspondence_panel.AT_ONCE", 2)
+    monkeypatch.setattr("shapeforge.viewer.qt.correspondence_panel.SLICE", 0.0)
+    window = open_window(fitted)
+    place = window.place("correspondence")
+    monkeypatch.setattr(place._idle, "start", lambda *_: None)
+    place.count = 4
+    window.session.place = "correspondence"
+    assert place.box.in_slices and list(place.names) == sorted(place.names), "there at once, by name"
+    unread = len(place.box.unread)
+    assert 0 < unread and f"of {len(fitted.names)}" in place.hint.full_text()
+    point = int(place.box.known(place.names[0]).existence.argmax())
+    assert len(place.box.present_on(point)) <= len(fitted.names) - len(place.box.unread)
+    while place.box.unread:
+        place._work_ahead()
+    assert place.hint.full_text() == "Click one point, or two"
+    values = [view.confidence for view in place.view.shown.views]
+    assert values == sorted(values, reverse=True), "then in order"
+    assert not place.box.is_ready(place.names[0])
+    for _ in place.names:
+        place._work_ahead()
+    assert all(place.box.is_ready(name) for name in place.names), "the first click finds all computed"

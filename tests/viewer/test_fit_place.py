@@ -8,17 +8,21 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QColor
+from PySide6.QtWidgets import QFrame, QLabel
 
 from shapeforge import stages
 from shapeforge.collection.colours import PARTS
 from shapeforge.store import Project
 from shapeforge.store_arrays import read_record, write_record
+from shapeforge.viewer.display import PointLayer
 from shapeforge.viewer.fit_display import FittedPoints, TemplateLook, movement, point_colours, sureness, to_plane
 from shapeforge.viewer.palette import SWITCHED_OFF, rgb
 from shapeforge.viewer.qt.fit_panel import FitPlace
 from shapeforge.viewer.qt.fit_report import existence_text
 from shapeforge.viewer.qt.fit_widgets import draw_points
 from shapeforge.viewer.qt.plots import nice_ticks
+from shapeforge.viewer.readiness import QUALITIES
+from tests.viewer.turned import turn_shape
 
 LEFT = Qt.MouseButton.LeftButton
 LONG = 240000
@@ -89,7 +93,7 @@ def test_a_finished_fit_is_shown_from_disk(open_window, fitted, qtbot):
     window = open_window(fitted, "fit")
     place = place_of(window)
     state = fitted.fit()
-    assert place.round_text.text() == f"Round {state.round} of {state.of}"
+    assert place.strip.round_text.text() == f"Round {state.round} of {state.of}"
     np.testing.assert_allclose(place.report.energy.values[0][-1], state.energy)
     np.testing.assert_allclose([curve[-1] for curve in place.report.sigma.values], 100 * state.sigma_by_part, rtol=1e-6)
     assert place.run.text() == "Run again"
@@ -182,7 +186,7 @@ def test_running_pausing_stepping_stopping(open_window, fitted, qtbot):
     qtbot.wait(50)
     assert place.record.newest == 0, "a step is one round: the affine start"
     assert session.is_paused and place.run.text() == "Resume"
-    assert place.left_text.text() == "· paused" and "paused" in place.phase_text.full_text()
+    assert place.strip.left_text.text() == "· paused" and "paused" in place.strip.phase_text.full_text()
     qtbot.mouseClick(place.step, LEFT)
     qtbot.waitUntil(lambda: place.record.newest == 1 and window.runner.paused, timeout=LONG)
     qtbot.wait(50)
@@ -279,8 +283,9 @@ def test_a_switched_off_part_can_be_insisted_on(open_window, fitted, qtbot):
     session.shape = name
     place._show_all()
     part = fitted.part_names.names[int(off[name][0])]
-    assert part in place.report.note_title.text().lower() and place.report.note_override.isEnabled()
-    qtbot.mouseClick(place.report.note_override, LEFT)
+    note = place.report.notes[part]
+    assert part in note.title.text().lower() and "likely to be there" in note.text.text() and note.override.isEnabled()
+    qtbot.mouseClick(note.override, LEFT)
     assert (session.place, session.shape, session.part) == ("paint", name, int(off[name][0]))
     assert part in session.status
 
@@ -291,3 +296,161 @@ def test_a_switched_off_part_can_be_insisted_on(open_window, fitted, qtbot):
 )
 def test_why_a_part_is_off_is_said_as_a_chance(odds, words):
     assert words in existence_text(odds)
+
+
+# -- turned shapes, and parts that other exemplars bring -------------------------------------------------------------
+
+UPSIDE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""A quarter turn about x."""
+
+
+def shown_points(place) -> np.ndarray:
+    layers = place.view.shown.views[1].layers
+    return np.concatenate([layer.positions for layer in layers if isinstance(layer, PointLayer)])
+
+
+def test_a_shape_explained_after_a_turn_is_shown_as_the_family_lies(open_window, fitted, qtbot):
+    name = fitted.names[-1]
+    upright = fitted.beliefs(name).deformed
+    turn_shape(fitted, name, UPSIDE)
+    fitted = Project.open(fitted.path)
+    assert not np.allclose(fitted.beliefs(name).deformed, upright)
+    window = open_window(fitted, "fit")
+    window.session.shape = name
+    place = place_of(window)
+    np.testing.assert_allclose(np.sort(shown_points(place), axis=0), np.sort(upright, axis=0), atol=1e-5)
+    tops = [view.layers[0].vertices[:, 1].max() for view in place.view.shown.views]
+    own = fitted.shapes.named(name).mesh.vertices
+    np.testing.assert_allclose(tops, [(own @ UPSIDE.T)[:, 1].max()] * 3, atol=1e-6)
+    assert "turned" in place.heads[0][1].full_text()
+
+
+def test_parts_that_another_exemplar_brings_are_there(open_window, fitted, qtbot):
+    """A shape whose template lacks a part that another exemplar's has: it is shown, named, and not called off."""
+    name = fitted.names[-1]
+    path = fitted.current_folder("fit") / "shapes" / f"{name}.zarr.zip"
+    found, attributes = read_record(path)
+    beliefs = found["beliefs"]
+    part = int(np.flatnonzero(beliefs.active)[0])
+    active = beliefs.active.copy()
+    active[part] = False
+    lender = replace(beliefs, deformed=beliefs.deformed + 0.01)
+    lent = replace(beliefs, active=active, lent=((part, lender),))
+    write_record(path, {**found, "beliefs": lent}, attributes)
+    window = open_window(Project.open(fitted.path), "fit")
+    window.session.shape = name
+    place = place_of(window)
+    label = fitted.fit().templates[beliefs.template].label
+    layers = {layer.key: layer for layer in place.view.shown.views[1].layers}
+    assert "off" not in layers or len(layers["off"].positions) == (~beliefs.active[label]).sum()
+    np.testing.assert_allclose(layers[f"lent {part}"].positions, lender.deformed[label == part], atol=1e-6)
+    assert tuple(layers[f"lent {part}"].colours[0]) == rgb(PARTS[part])
+    assert fitted.part_names.names[part] not in place.report.notes
+    words = {one.text() for one in place.report.findChildren(QLabel)}
+    assert f"from {fitted.fit().templates[beliefs.template].source}" in words
+
+
+def test_every_part_that_is_off_says_why_and_where_else(open_window, fitted, qtbot):
+    name, other = fitted.names[-1], fitted.names[-2]
+    window = open_window(fitted, "fit")
+    place = place_of(window)
+    off = [fitted.part_names.names[p] for p in np.flatnonzero(~fitted.beliefs(name).active)]
+    window.session.shape = name
+    place._show_all()
+    assert set(off) <= set(place.report.notes) and all(note.text.text() for note in place.report.notes.values())
+    for part, note in place.report.notes.items():
+        elsewhere = [one for one in place.record.off_on(fitted.part_names.names.index(part)) if one != name]
+        assert f"{len(elsewhere)} other" in note.text.text() or not elsewhere
+    many = next(note for note in place.report.notes.values() if "other shapes" in note.text.text())
+    qtbot.mouseClick(many.show_others, LEFT)
+    assert window.session.watched and name not in window.session.watched
+    assert other in fitted.names
+
+
+# -- quality, keys ---------------------------------------------------------------------------------------------------
+
+
+def test_the_quality_is_chosen_and_is_what_runs(open_window, fitted, qtbot):
+    window = open_window(fitted, "fit")
+    session, place = window.session, place_of(window)
+    assert session.quality == "" and "2 rounds" in place.quality_text.text(), "as it was fitted last"
+    qtbot.mouseClick(place.quality.button("draft"), LEFT)
+    assert session.quality == "draft" and place.quality.button("draft").isChecked()
+    qtbot.mouseClick(place.step, LEFT)
+    assert not place.quality.button("fine").isEnabled() and "Stop" in place.quality.button("fine").toolTip()
+    qtbot.waitUntil(lambda: place.record.newest == 0 and window.runner.paused, timeout=LONG)
+    qtbot.wait(50)
+    assert place.record.planned == QUALITIES["draft"]["rounds"] and place.strip.round_text.text() == "Round 0 of 4"
+    qtbot.mouseClick(place.stop, LEFT)
+    qtbot.waitUntil(lambda: not session.running, timeout=LONG)
+    assert place.run.text() == "Go on"
+    qtbot.mouseClick(place.quality.button("fine"), LEFT)
+    assert place.run.text() == "Run", "another quality begins anew"
+
+
+def test_rounds_and_shapes_by_keyboard(open_window, fitted, qtbot):
+    window = open_window(fitted, "fit")
+    session, place = window.session, place_of(window)
+    newest = place.record.newest
+    qtbot.keyClick(place.centre, Qt.Key.Key_Left)
+    assert session.round == newest - 1
+    qtbot.keyClick(place.centre, Qt.Key.Key_Right)
+    assert session.round is None
+    assert window.actions_table.verdict("round_forth")[0] is False
+    shown = [one.name for one in place.also_watching.pictures]
+    session.shape = shown[0]
+    qtbot.keyClick(place.centre, Qt.Key.Key_PageDown)
+    assert session.shape == shown[1]
+    watched = session.watched
+    qtbot.keyClick(place.centre, Qt.Key.Key_A)
+    assert set(session.watched) == set(watched) - {shown[1]}
+    qtbot.waitUntil(lambda: shown[1] not in [one.name for one in place.also_watching.pictures])
+    qtbot.mouseClick(place.watch_it, LEFT)
+    assert session.watched[-1] == shown[1]
+
+
+def test_energy_movement_and_spread_are_the_fits_own(open_window, fitted, qtbot):
+    place = place_of(open_window(fitted, "fit"))
+    figures = fitted.round_figures()
+    np.testing.assert_allclose(place.report.change.values[0][1:], [100 * one["change"] for one in figures[1:]])
+    ink = place.report.change.grab().toImage()
+    columns = [ink.pixelColor(ink.width() // 2, y).name() for y in range(ink.height())]
+    assert len(set(columns)) > 1, "a curve is drawn"
+
+
+def test_a_fit_that_became_stale_says_so(open_window, fitted, qtbot):
+    window = open_window(fitted, "fit")
+    place_of(window)
+    note = next(one for one in window.places["fit"].inspector.findChildren(QFrame) if one.objectName() == "stale")
+    assert not note.isVisible()
+    name = fitted.labelled[0]
+    labels = fitted.labels(name).copy()
+    labels[:5] = -1
+    window.session.project.set_labels(name, labels)
+    window.session.touch("labels")
+    assert note.isVisible() and "labels" in " ".join(one.text() for one in note.findChildren(QLabel))
+    assert window.places["fit"].run.text() == "Run"
+
+
+def test_a_click_in_the_grid_looks_at_the_shape_and_an_error_is_read_in_full(open_window, fitted, qtbot):
+    window = open_window(fitted, "fit")
+    session, place = window.session, place_of(window)
+    qtbot.mouseClick(place.mode.button("grid"), LEFT)
+    place._show_all()
+    names = [view.name for view in place.view.shown.views]
+    cell = next(i for i, name in enumerate(names) if name != session.shape)
+    for corner in place.view.shown.views[cell].layers[0].vertices[::7]:
+        x, y = place.view.place_of(corner, cell)
+        found = place.view.pick(x, y)
+        if found is not None and found.view == cell:
+            break
+    qtbot.mouseClick(place.view.plotter, LEFT, pos=QPoint(round(x), round(y)))
+    assert session.shape == names[cell]
+    place._show_all()
+    assert [view.name for view in place.view.shown.views] == names, "a click moves none"
+    assert [view.selected for view in place.view.shown.views] == [name == names[cell] for name in names]
+    session.say("No space left on device. Free some, then run it again.", "error")
+    problem = place.strip.problem
+    assert problem.isVisible() and problem.text() == session.status
+    lines = problem.fontMetrics().boundingRect(0, 0, problem.width(), 99, 0x1000, problem.text())
+    assert lines.height() <= problem.height(), "all of it is seen"

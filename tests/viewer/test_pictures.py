@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -123,3 +125,20 @@ def test_a_sheet_holds_all_pictures_in_order():
     with pytest.raises(ValueError, match="at least one picture"):
         contact_sheet([])
     Image.fromarray(sheet)
+
+
+def test_the_first_picture_waits_for_no_plotting_library():
+    """Opening a project and taking a picture load neither matplotlib (by way of PyVista's plots) nor scikit-learn."""
+    script = (
+        "import sys\n"
+        "import shapeforge.store, shapeforge.stages\n"
+        "import numpy as np\n"
+        "from shapeforge.collection.shape import Mesh\n"
+        "from shapeforge.viewer.pictures import close_studio, thumbnail\n"
+        "mesh = Mesh(np.eye(3), np.array([[0, 1, 2]]), np.zeros(1, int), 1)\n"
+        "assert thumbnail(mesh, size=32).std() > 0\n"
+        "close_studio()\n"
+        "print([name for name in ('matplotlib', 'pyvista', 'sklearn') if name in sys.modules])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout.strip().splitlines()[-1:] == ["[]"], done.stdout + done.stderr

@@ -198,3 +198,30 @@ def test_lengths_of_time_in_words():
         "60 min",
         "2 h 1 min",
     ]
+
+
+@dataclass(frozen=True)
+class Said:
+    stage: str
+    phase: str
+
+
+def test_a_step_is_not_spent_on_an_announcement():
+    go = threading.Event()
+
+    def work():
+        go.wait(5)
+        yield Said("fit", "stale")
+        yield Said("fit", "round 0")
+        yield Said("fit", "round 1")
+
+    runner, seen = Runner(), []
+    runner.start("fit", work)
+    runner.step()
+    go.set()
+    until(lambda: runner.paused)
+    news = runner.take()
+    seen += news.states
+    assert [one.phase for one in seen] == ["stale", "round 0"]
+    runner.stop()
+    assert runner.join(5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from PySide6.QtCore import Qt, QTimer
@@ -12,41 +13,43 @@ from PySide6.QtWidgets import QWidget
 from shapeforge.viewer.actions import Action, Actions, group_of, groups_of
 from shapeforge.viewer.display import Caption, Display, grid_of
 from shapeforge.viewer.fit_display import (
-    FULL_HEAT,
+    UNTURNED,
     MeshLayer,
+    all_points,
     mesh_layer,
-    point_colours,
     probable_layer,
     template_view,
     three_views,
 )
 from shapeforge.viewer.fit_record import WATCHED_AT_MOST, FitRecord, look_at, moved_text
-from shapeforge.viewer.palette import SWITCHED_OFF, part_colours, tokens
+from shapeforge.viewer.palette import tokens
+from shapeforge.viewer.picking import Pick
 from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.fit_keys import fit_actions
 from shapeforge.viewer.qt.fit_report import FitReport
-from shapeforge.viewer.qt.fit_widgets import AlsoWatching, Scrubber, draw_points
-from shapeforge.viewer.qt.icons import refresh, set_icon
+from shapeforge.viewer.qt.fit_run import RunStrip
+from shapeforge.viewer.qt.fit_widgets import AlsoWatching, draw_points, show_legend
+from shapeforge.viewer.qt.icons import refresh
+from shapeforge.viewer.qt.stale_note import stale_note
 from shapeforge.viewer.qt.theme import PADDING
 from shapeforge.viewer.qt.widgets import (
     Choice,
     ElidedLabel,
     Segments,
-    Swatch,
     button,
-    clear,
     column,
     framed,
     grouped,
     label,
     row,
     separator,
-    set_style,
 )
-from shapeforge.viewer.readiness import stage_status
-from shapeforge.viewer.runner import duration
+from shapeforge.viewer.readiness import QUALITIES, chosen_quality
 from shapeforge.viewer.session import Session
 
-LEGEND_AT_MOST = 12
+_QUALITY = {
+    "draft": "a first look", "normal": "good enough for most families", "fine": "until hardly anything moves any more"
+}  # fmt: skip
 
 
 class FitPlace:
@@ -63,6 +66,8 @@ class FitPlace:
             Action("correct", "Correct by painting", self._correct, self._can_correct, "C",
                    "Paint the shape; the next fit takes it as evidence", "paint", "fit")
         )  # fmt: skip
+        for action in fit_actions(self):
+            actions.add(action)
         self.view = view_factory()
         self.toolbar_widget = self._make_tools()
         self.centre = self._make_centre()
@@ -72,11 +77,14 @@ class FitPlace:
         self._soon = QTimer(self.centre, singleShot=True, interval=0)
         self._soon.timeout.connect(lambda: self.binding.safely(self._show_all))
         self.view.camera_moved.connect(self._camera_moved)
+        self.view.clicked.connect(self._click)
         self.binding.on(("project",), self._project_changed)
         self.binding.on(("progress",), self._take_progress)
         self.binding.on(("shape", "round", "data", "theme", "watched"), self._show_soon, now=False)
         self.binding.on(
-            ("running", "is_paused", "progress", "status", "shape", "data", "theme"), self._show_run, now=False
+            ("running", "is_paused", "progress", "status", "shape", "data", "theme", "quality"),
+            self._show_run,
+            now=False,
         )
 
     def enter(self) -> None:
@@ -105,9 +113,19 @@ class FitPlace:
         self.watch = Choice("Watch", [], "", tooltip="Which shape to look at")
         self.watch.chosen.connect(self._watch)
         self.mode = Segments([("one", "One shape", ""), ("grid", "Grid", "")], "one")
+        for mode, says in (("one", "Input, template and parts of one shape"), ("grid", "The watched shapes at once")):
+            self.mode.button(mode).setToolTip(says)
         self.mode.chosen.connect(lambda _: self._show_soon())
-        self.by = Choice("Colour by", [("part", "part"), ("movement", "movement")], "part")
+        self.by = Choice(
+            "Colour by",
+            [("part", "part"), ("movement", "movement")],
+            "part",
+            tooltip="The part of each template point, or how far it moved in this round",
+        )
         self.by.chosen.connect(lambda _: self._show_soon())
+        self.quality_text = label("Quality", "text2")
+        self.quality = Segments([(name, name.capitalize(), "") for name in QUALITIES], "")
+        self.quality.chosen.connect(lambda value: setattr(self.session, "quality", value))
         self.home = button(icon="home", kind="tool", tooltip="Show all of the shape")
         self.home.clicked.connect(lambda: self.view.fit())
         self.linked = button(icon="link", kind="tool", checkable=True, tooltip="Turn the small pictures along")
@@ -115,7 +133,18 @@ class FitPlace:
         self.linked.toggled.connect(lambda on: setattr(self.session, "linked", on))
         self.linked.toggled.connect(lambda _: self._camera_moved())
         return framed(
-            row(self.watch, self.mode, self.by, None, self.home, self.linked, margins=(PADDING, 0, PADDING, 0))
+            row(
+                self.watch,
+                self.mode,
+                self.by,
+                None,
+                self.quality_text,
+                self.quality,
+                4,
+                self.home,
+                self.linked,
+                margins=(PADDING, 0, PADDING, 0),
+            )
         )
 
     def _make_centre(self) -> QWidget:
@@ -135,7 +164,8 @@ class FitPlace:
         self.heads_widget.setLayout(self.head_row)
         self.legend = row(spacing=6, margins=(12, 0, 12, 0))
         legend_bar = framed(self.legend, "view_foot", height=30)
-        self.also_watching = AlsoWatching()
+        self.watch_it = action_button(self.actions, "watch_it", self.binding, kind="tool", text="")
+        self.also_watching = AlsoWatching(self.watch_it)
         self.also_watching.sort.chosen.connect(lambda _: self._show_soon())
         self.also_watching.clicked.connect(self._watch)
         result = QWidget()
@@ -149,7 +179,8 @@ class FitPlace:
         return result
 
     def _make_inspector(self) -> QWidget:
-        self.report = FitReport()
+        stale = stale_note(self.actions, self.binding, "fit", "fit", "Run it again")
+        self.report = FitReport(stale)
         self.report.watch.connect(self._watch_all)
         self.report.override.connect(self._override)
         self.correct = action_button(self.actions, "correct", self.binding)
@@ -163,27 +194,10 @@ class FitPlace:
         return result
 
     def _make_strip(self) -> QWidget:
-        self.run = action_button(self.actions, "fit", self.binding, kind="primary")
-        self.run.setFixedWidth(112)
-        self.step = action_button(self.actions, "step", self.binding, text="", kind="tool")
-        self.stop = action_button(self.actions, "stop", self.binding, text="", kind="tool")
-        self.round_text, self.left_text = label("", "heading"), label("", "text2")
-        self.phase_text = ElidedLabel("", "caption")
-        left = column(
-            row(self.run, self.step, self.stop, label("Space", "keycap"), None),
-            4, row(self.round_text, self.left_text, None, spacing=4), self.phase_text, None,
-            spacing=0, margins=(PADDING, 12, 0, 0),
-        )  # fmt: skip
-        holder = QWidget()
-        holder.setFixedWidth(264)
-        holder.setLayout(left)
-        self.scrubber = Scrubber()
-        self.scrubber.moved.connect(self._look_back)
-        result = QWidget()
-        box = row(holder, spacing=8, margins=(0, 0, 8, 0))
-        box.addWidget(self.scrubber, 1)
-        result.setLayout(box)
-        return result
+        strip = RunStrip(self.actions, self.binding)
+        self.run, self.step, self.stop, self.scrubber = strip.run, strip.step, strip.stop, strip.scrubber
+        self.scrubber.moved.connect(self.look_back)
+        return strip
 
     # -- what is watched -------------------------------------------------------------------------------------------
 
@@ -207,6 +221,12 @@ class FitPlace:
         else:
             self.session.shape = name
 
+    def _click(self, pick: Pick | None, _modifiers: object) -> None:
+        """A click on a shape of the grid looks at it."""
+        shown = self.view.shown.views
+        if pick is not None and pick.view < len(shown) and shown[pick.view].name:
+            self.session.shape = shown[pick.view].name
+
     def _project_changed(self) -> None:
         project = self.session.project
         self.record = None if project is None else FitRecord(project)
@@ -224,10 +244,11 @@ class FitPlace:
             self._pictures.clear()
             self._show_soon()
 
-    def _look_back(self, number: int) -> None:
+    def look_back(self, number: int) -> None:
+        """Look at a recorded round."""
         self.session.round = None if self.record is None or number == self.record.newest else number
 
-    def _number(self) -> int:
+    def number(self) -> int:
         """The round looked at."""
         newest = self.record.newest if self.record is not None else -1
         return newest if self.session.round is None else min(self.session.round, newest)
@@ -245,9 +266,9 @@ class FitPlace:
             self.record.load()
         self._show_tools()
         self._show_views()
-        self._show_legend()
-        self.also_watching.show_shapes(self.record, self.session, self._number(), self._direction())
-        self.report.show_fit(self.record, self.session, self._number())
+        show_legend(self.legend, self.record.looks, self.by.value_text(), self.number())
+        self.also_watching.show_shapes(self.record, self.session, self.number(), self._direction())
+        self.report.show_fit(self.record, self.session, self.number())
         self._show_scrubber()
         refresh(self.inspector, self.session.theme)
 
@@ -262,16 +283,18 @@ class FitPlace:
     def _layer(self, name: str, kind: str) -> MeshLayer:
         """A mesh layer that keeps its identity, so that an unchanged view is not drawn again."""
         number = self.record.newest if kind == "parts" else 0
-        stamp = (name, kind, self.session.theme, number, self.session.revision)
+        points = self.record.points(name, self.number())
+        turn = UNTURNED if points is None else points.turn
+        stamp = (name, kind, self.session.theme, number, self.session.revision, turn.tobytes())
         if stamp not in self._layers:
             if len(self._layers) > 60:
                 self._layers.clear()
             shape = self.session.project.shapes.named(name)
             if kind == "parts":
-                self._layers[stamp] = probable_layer(shape, self._probabilities(name, shape))
+                self._layers[stamp] = probable_layer(shape, self._probabilities(name, shape), turn)
             else:
                 colour = tokens(self.session.theme)["shape"]
-                self._layers[stamp] = mesh_layer(shape, colour, 1.0 if kind == "plain" else 0.16, kind)
+                self._layers[stamp] = mesh_layer(shape, colour, 1.0 if kind == "plain" else 0.16, kind, turn)
         return self._layers[stamp]
 
     def _probabilities(self, name: str, shape: object) -> np.ndarray:
@@ -284,13 +307,13 @@ class FitPlace:
         return face_probabilities(shape, self.record.beliefs(name))
 
     def _show_views(self) -> None:
-        session, number = self.session, self._number()
+        session, number = self.session, self.number()
         if session.shape is None:
             return
         one = self.mode.button("one").isChecked()
         self.heads_widget.setVisible(one)
-        first = self._fitted_shape != (session.shape, one, session.project.path)
-        self._fitted_shape = (session.shape, one, session.project.path)
+        fitted = (session.shape if one else session.watched, one, session.project.path)
+        first, self._fitted_shape = self._fitted_shape != fitted, fitted
         if not one:
             self.view.display(self._grid(number), fit=first)
             return
@@ -305,17 +328,20 @@ class FitPlace:
         self.view.display(display, fit=first)
         self.view.fit_if_cut()
         shape = session.project.shapes.named(name)
-        self.heads[0][1].setText(f"{name}, {grouped(shape.n_points)} points")
+        turned = ", turned as the family lies" if now is not None and not np.array_equal(now.turn, UNTURNED) else ""
+        self.heads[0][1].setText(f"{name}, {grouped(shape.n_points)} points{turned}")
         if now is None:
             self.heads[1][1].setText("not fitted yet")
             self.heads[2][1].setText("after the fit")
         else:
             source = "" if look is None else f" from {look.source}" if look.source else ", the family's own"
             self.heads[1][1].setText(f"{now.template + 1} of {len(self.record.looks)}{source}")
-            self.heads[2][1].setText("pale = unsure")
+            old = number < self.record.newest
+            self.heads[2][1].setText(f"of round {self.record.newest}, pale = unsure" if old else "pale = unsure")
 
     def _grid(self, number: int) -> Display:
-        names = tuple(dict.fromkeys((self.session.shape, *self.session.watched)))[: WATCHED_AT_MOST + 1]
+        watched, shape = self.session.watched, self.session.shape
+        names = watched if shape in watched else (shape, *watched)  # a click on one moves none
         rows, columns = grid_of(len(names), 1.5)
         views = []
         for name in names:
@@ -323,34 +349,9 @@ class FitPlace:
             look = look_at(self.record, now)
             lines = [(name, "strong"), (moved_text(self.record, name, number)[0], "plain")]
             caption = (Caption("top left", tuple(lines)),)
-            views.append(
-                template_view(self._layer(name, "ghost"), look, now, before, self.by.value_text(), caption, 2.6)
-            )
+            view = template_view(self._layer(name, "ghost"), look, now, before, self.by.value_text(), caption, 2.6)
+            views.append(replace(view, name=name, selected=name == self.session.shape))
         return Display(tuple(views), rows, columns)
-
-    def _show_legend(self) -> None:
-        clear(self.legend)
-        looks = self.record.looks
-        if self.by.value_text() == "movement":
-            self.legend.addWidget(
-                label(f"pale: at rest · dark red: moved {100 * FULL_HEAT:g}% of size or more", "caption")
-            )
-        elif looks:
-            names = looks[0].part_names
-            inks = part_colours(len(names))
-            for part, name in enumerate(names[:LEGEND_AT_MOST]):
-                self.legend.addWidget(Swatch("#{:02X}{:02X}{:02X}".format(*inks[part]), size=10))
-                self.legend.addWidget(label(name, "caption"))
-                self.legend.addSpacing(6)
-            self.legend.addWidget(Swatch(SWITCHED_OFF, size=8, disc=True))
-            self.legend.addWidget(label("switched off", "caption"))
-            if self._number() > 0:
-                self.legend.addSpacing(6)
-                self.legend.addWidget(label(f"—  moved since round {self._number() - 1}", "caption"))
-        else:
-            said = "Run the fit: the templates of the painted exemplars find their way to every shape."
-            self.legend.addWidget(label(said, "caption"))
-        self.legend.addStretch(1)
 
     def _direction(self) -> tuple[float, ...]:
         if not self.session.linked:
@@ -364,7 +365,7 @@ class FitPlace:
             one.look_from(self._direction())
 
     def _show_scrubber(self) -> None:
-        name, number = self.session.shape, self._number()
+        name, number = self.session.shape, self.number()
         pictures: dict[int, QImage] = {}
         for n in range(self.record.newest + 1):
             points = self.record.points(name, n) if name else None
@@ -373,53 +374,32 @@ class FitPlace:
                 continue
             stamp = (name, n)
             if stamp not in self._pictures:
-                inks = point_colours(look, points, "part")
-                self._pictures[stamp] = draw_points(points.positions, inks, (76, 80), (1.0, 0.6, 1.5), 2)
+                self._pictures[stamp] = draw_points(*all_points(look, points), (76, 80), (1.0, 0.6, 1.5), 2)
             pictures[n] = self._pictures[stamp]
         self.scrubber.set_state(self.record.planned, self.record.newest, number, 0.0, pictures)
 
     def _show_run(self) -> None:
         if not self._here() or self.record is None:
             return
-        session, progress = self.session, self.session.progress
-        mine = session.running and session.stage == "fit"
-        done = not session.running and stage_status(session).get("fit")
-        finished = bool(done) and done.state == "done"
-        going_on = bool(done) and done.state == "partial"
-        words = "Resume" if mine and session.is_paused else "Pause" if mine else "Go on" if going_on else "Run"
-        self.run.setText(words if not finished else "Run again")
-        set_style(self.run, "kind", "" if finished else "primary")
-        set_icon(self.run, "pause" if mine and not session.is_paused else "play", "text_2" if finished else "on_accent")
+        session = self.session
+        finished = self.strip.show_run(session, self.record)
         self.next.setVisible(finished)
+        self._show_quality()
         self.correct.setText(f"Correct {session.shape} by painting" if session.shape else "Correct by painting")
         can, why = self._can_correct(session)
         self.correct_text.setText("The next fit takes it as evidence." if can else why)
-        newest = self.record.newest
-        self.round_text.setText(f"Round {max(newest, 0)} of {self.record.planned}" if newest >= 0 else "Not fitted yet")
-        left = progress.seconds_left if mine and progress is not None and not session.is_paused else None
-        self.left_text.setText(
-            f"· {duration(left)} left" if left is not None else "· paused" if mine and session.is_paused else ""
-        )
-        self.phase_text.setText(self._phase(mine, finished))
 
-    def _phase(self, mine: bool, finished: bool) -> str:
-        session, progress = self.session, self.session.progress
-        if mine and session.is_paused:
-            return "paused; what is done is kept"
-        if mine and progress is None:
-            return "starting…"
-        if mine:
-            if progress.phase == "faces":
-                return f"labelling faces, shape {progress.step} of {progress.of}"
-            if progress.phase == "fit" and progress.step == 0:
-                return "aligned; the first round is under way"
-            return f"round {progress.step + 1} is under way" if progress.phase == "fit" else progress.message
-        if session.status and session.status_kind in ("error", "warning"):
-            return session.status
-        status = stage_status(session).get("fit")
-        if status is not None and status.state == "stale":
-            return f"out of date: {status.reason}"
-        return "done" if finished else self.actions.verdict("fit")[1] or session.status
+    def _show_quality(self) -> None:
+        session = self.session
+        chosen = chosen_quality(session)
+        self.quality.set_value(chosen)
+        record = {} if chosen else session.project.stage_record("fit") or {}
+        self.quality_text.setText("Quality" if chosen else f"{record['options']['rounds']} rounds, or")
+        for name, options in QUALITIES.items():
+            one = self.quality.button(name)
+            one.setEnabled(not session.running)
+            what = f"{options['rounds']} rounds: {_QUALITY[name]}"
+            one.setToolTip(f"{what}\nStop the fit first." if session.running else what)
 
     # -- what the user does ----------------------------------------------------------------------------------------
 

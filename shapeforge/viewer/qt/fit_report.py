@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QWidget
+from PySide6.QtWidgets import QFrame, QWidget
 
 from shapeforge.viewer.fit_display import sureness
 from shapeforge.viewer.fit_record import WATCHED_AT_MOST, FitRecord
@@ -23,39 +23,56 @@ from shapeforge.viewer.qt.widgets import (
     scrolled,
     section,
 )
+from shapeforge.viewer.readiness import Verdict
 from shapeforge.viewer.session import Session
 
 
+class OffNote(QFrame):
+    """Why a part is off on the shape, where else, and what can be done about it."""
+
+    def __init__(self, part_name: str, reason: str, others: tuple[str, ...], override: Verdict) -> None:
+        """``override`` is whether it can be insisted on now, and what to do then or why not."""
+        super().__init__()
+        self.setObjectName("note")
+        also = f" Also off on {len(others)} other shape{'s' * (len(others) != 1)}." if others else ""
+        self.title = label(f"{part_name} switched off".capitalize(), "heading", wrap=True)
+        self.text = label(f"{reason}{also}", "caption", wrap=True, tooltip=", ".join(others[:60]))
+        self.override = button("Override", kind="link", tooltip=override[1])
+        self.override.setEnabled(override[0])
+        count = min(len(others), WATCHED_AT_MOST)
+        words = (
+            "Show it" if len(others) == 1 else f"Show the {count}" if count == len(others) else f"Show {count} of them"
+        )
+        self.show_others = button(words, kind="link", tooltip="Watch these shapes below")
+        self.show_others.setVisible(bool(others))
+        links = row(self.override, self.show_others, None, spacing=16)
+        sign = column(icon_label("info", "accent_text"), None)
+        self.setLayout(row(sign, column(self.title, self.text, 2, links, spacing=2), margins=(12, 8, 12, 8)))
+
+
 class FitReport(QWidget):
-    """Curves, parts, and a note about parts that are switched off; ``watch`` asks to see the shapes it names."""
+    """Curves and parts, with a note about each part that is off; ``watch`` asks to see the shapes it names."""
 
     watch = Signal(tuple)
     override = Signal(str)
 
-    def __init__(self) -> None:
+    def __init__(self, above: QWidget | None = None) -> None:
+        """``above`` is shown above the curves."""
         super().__init__()
-        self._off_here = ""
-        self._off: tuple[str, ...] = ()
-        self.energy, self.sigma = Curves(), Curves(from_zero=True)
+        self.notes: dict[str, OffNote] = {}
+        self.energy = Curves(height=72, numbered=False)
+        self.change = Curves(from_zero=True, height=58, numbered=False)
+        self.sigma = Curves(from_zero=True, height=88)
         self.energy_text = label("", "caption", wrap=True)
         self.parts_title = label("Parts", "heading")
         self.part_list = column(spacing=0)
-        self.note_title, self.note_text = label("", "heading", wrap=True), label("", "caption", wrap=True)
-        self.note_show = button("", kind="link", tooltip="Watch these shapes below")
-        self.note_show.clicked.connect(lambda: self.watch.emit(self._off))
-        self.note_override = button("Override", kind="link")
-        self.note_override.clicked.connect(lambda: self.override.emit(self._off_here))
-        words = column(
-            self.note_title, self.note_text, 4, row(self.note_override, self.note_show, None, spacing=16), spacing=2
-        )
-        sign = column(icon_label("info", "accent_text"), None)
-        self.note = framed(row(sign, words, margins=(12, 10, 12, 10)), "note")
         energy = heading("Energy", "", label("nats per point", "caption"))
+        change = heading("Movement of the points", "", label("% of size a round", "caption"))
         sigma = heading("Spread σ by part", "", label("% of size", "caption"))
         body = scrolled(
-            section(energy, self.energy, self.energy_text, spacing=4),
-            section(sigma, self.sigma, spacing=4),
-            section(row(self.parts_title), self.part_list, self.note, line=False),
+            *([] if above is None else [above]),
+            section(energy, self.energy, self.energy_text, 6, change, self.change, 4, sigma, self.sigma, spacing=2),
+            section(row(self.parts_title), self.part_list, line=False),
         )
         self.setLayout(column(body, spacing=0))
 
@@ -75,6 +92,9 @@ class FitReport(QWidget):
         self.energy.set_theme(session.theme)
         self.sigma.set_theme(session.theme)
         self.energy.set_series([(numbers, energies, look["accent"])], of, at)
+        changes = [100 * rounds[n].change for n in numbers]
+        self.change.set_theme(session.theme)
+        self.change.set_series([(numbers, changes, look["text_2"])], of, at)
         names = record.looks[0].part_names if record.looks else ()
         inks = ["#{:02X}{:02X}{:02X}".format(*ink) for ink in part_colours(len(names))]
         curves = [
@@ -84,56 +104,56 @@ class FitReport(QWidget):
 
     def _show_parts(self, record: FitRecord, session: Session) -> None:
         clear(self.part_list)
+        self.notes = {}
         name = session.shape or ""
         self.parts_title.setText(f"Parts of {name}")
         beliefs = record.beliefs(name) if record.looks else None
-        self._off: tuple[str, ...] = ()
-        self.note.setVisible(False)
         if beliefs is None or record.newest < 1:
             self.part_list.addWidget(label("Known after the first round.", "caption"))
             return
         names = record.looks[0].part_names
         inks = part_colours(len(names))
         sure = sureness(np.asarray(beliefs.segmentation, float))
+        lent = {part: record.looks[theirs.template].source for part, theirs in beliefs.lent}
+        known = set(record.looks[beliefs.template].label.tolist())
         for part, part_name in enumerate(names):
-            on = bool(beliefs.active[part])
+            on = bool(beliefs.active[part]) or part in lent
             swatch = Swatch("#{:02X}{:02X}{:02X}".format(*inks[part]))
             swatch.setEnabled(on)
-            said = label(part_name, "" if on else "off")
+            off_on = record.off_on(part)
+            tooltip = f"Off on {len(off_on)} of {len(record.active)} shapes" if off_on else "On every shape"
+            said = label(part_name, "" if on else "off", tooltip=tooltip)
+            source = label(f"from {lent[part]}" if lent.get(part) else "", "caption", tooltip=LENT)
             if not on:
-                state = label("off", "off")
+                state = label("off", "off", tooltip=tooltip)
             elif np.isnan(sure[part]):
                 state = label("no points", "warning")
             else:
                 state = label(f"{100 * sure[part]:.0f}% sure", "text2" if sure[part] > 0.75 else "warning")
-            self.part_list.addWidget(framed(row(swatch, 4, said, None, state), "", height=30))
-        off = [part for part in range(len(names)) if not beliefs.active[part]]
-        if off:
-            part = off[0]
-            self._off_here = names[part]
-            self.note_override.setEnabled(not session.running)
-            self.note_override.setToolTip(
-                "Stop the fit first." if session.running
-                else f"{name} has this part? Paint some of it, and the next fit keeps it."
+            self.part_list.addWidget(framed(row(swatch, 4, said, source, None, state), "", height=28))
+            if on:
+                continue
+            others = tuple(one for one in off_on if one != name)
+            odds = float(beliefs.misfit[part]) if part in known else float("nan")
+            can = (
+                (False, "Stop the fit first.") if session.running
+                else (True, f"{name} has this part? Paint some of it, and the next fit keeps it.")
             )  # fmt: skip
-            odds = float(beliefs.misfit[part])
-            self._off = record.off_elsewhere(part, name)
-            also = f" Also on {len(self._off)} other shapes." if self._off else ""
-            self.note_title.setText(f"{' and '.join(names[p] for p in off)} switched off".capitalize())
-            self.note_text.setText(f"{existence_text(odds)}{also}")
-            others = len(self._off)
-            self._off = self._off[:WATCHED_AT_MOST]
-            count = len(self._off)
-            all_of = f"Show the {count}" if count > 1 else "Show it"
-            self.note_show.setText(all_of if count == others else f"Show {count} of them")
-            self.note_show.setVisible(bool(self._off))
-            self.note.setVisible(True)
+            note = OffNote(part_name, existence_text(odds), others, can)
+            note.override.clicked.connect(lambda _=False, part_name=part_name: self.override.emit(part_name))
+            note.show_others.clicked.connect(lambda _=False, others=others: self.watch.emit(others[:WATCHED_AT_MOST]))
+            self.notes[part_name] = note
+            self.part_list.addWidget(note)
+            self.part_list.addSpacing(6)
+
+
+LENT = "The exemplar that explains this shape best lacks the part: another one brings it"
 
 
 def existence_text(odds: float) -> str:
     """Why a part is off, from the log odds (nats) of its existence: NaN when its template has no such part."""
     if np.isnan(odds):
-        return "The exemplar that explains this shape best has no such part."
+        return "The exemplar that explains this shape best has no such part, and no other brings one."
     if np.isinf(odds):
         return "It claims no surface that another part would not."
     chance = 100 / (1 + np.exp(-np.clip(odds, -50, 50)))
@@ -155,7 +175,7 @@ def energy_text(record: FitRecord, number: int) -> str:
     else:
         parts.append(f"{now.energy:.3f} nats.".replace("-", "−"))
     if np.isfinite(now.change):
-        parts.append(f"Points moved {100 * now.change:.2f}% of size.")
+        parts.append(f"Moved {100 * now.change:.2f}%.")
     if now.stop_reason:
         parts.append(f"Stopped: {now.stop_reason}.")
     return " ".join(parts)

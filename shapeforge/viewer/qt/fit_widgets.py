@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
-from PySide6.QtWidgets import QFrame, QWidget
+from PySide6.QtWidgets import QBoxLayout, QFrame, QWidget
 
-from shapeforge.viewer.fit_display import point_colours, to_plane
+from shapeforge.viewer.fit_display import FULL_HEAT, TemplateLook, all_points, to_plane
 from shapeforge.viewer.fit_record import FitRecord, look_at, moved_text
-from shapeforge.viewer.palette import tokens
+from shapeforge.viewer.palette import SWITCHED_OFF, part_colours, tokens
 from shapeforge.viewer.qt.theme import PADDING, colours, font
-from shapeforge.viewer.qt.widgets import Choice, clear, column, label, row
+from shapeforge.viewer.qt.widgets import Choice, Swatch, clear, column, label, row
 from shapeforge.viewer.session import Session
 
 
@@ -41,6 +43,32 @@ def draw_points(
                 picture[y, x, :3] = inks
                 picture[y, x, 3] = 255
     return QImage(picture.data, width, height, 4 * width, QImage.Format.Format_RGBA8888).copy()
+
+
+LEGEND_AT_MOST = 12
+
+
+def show_legend(box: QBoxLayout, looks: Sequence[TemplateLook], by: str, number: int) -> None:
+    """Fill ``box`` with what the colours of round ``number`` mean: parts, or movement."""
+    clear(box)
+    if by == "movement":
+        box.addWidget(label(f"pale: at rest · dark red: moved {100 * FULL_HEAT:g}% of size or more", "caption"))
+    elif looks:
+        names = looks[0].part_names
+        inks = part_colours(len(names))
+        for part, name in enumerate(names[:LEGEND_AT_MOST]):
+            box.addWidget(Swatch("#{:02X}{:02X}{:02X}".format(*inks[part]), size=10))
+            box.addWidget(label(name, "caption"))
+            box.addSpacing(6)
+        box.addWidget(Swatch(SWITCHED_OFF, size=8, disc=True))
+        box.addWidget(label("switched off", "caption"))
+        if number > 0:
+            box.addSpacing(6)
+            box.addWidget(label(f"—  moved since round {number - 1}", "caption"))
+    else:
+        said = "Run the fit: the templates of the painted exemplars find their way to every shape."
+        box.addWidget(label(said, "caption"))
+    box.addStretch(1)
 
 
 class PointPicture(QWidget):
@@ -196,15 +224,23 @@ class AlsoWatching(QFrame):
 
     clicked = Signal(str)
 
-    def __init__(self) -> None:
+    def __init__(self, *more: QWidget) -> None:
+        """``more`` widgets stand beside the choice of the order."""
         super().__init__()
         self.setObjectName("bar")
         self.setFixedHeight(186)
         self.pictures: list[PointPicture] = []
         self.count = label("", "text2")
-        self.sort = Choice("Sort by", [("name", "name"), ("movement", "movement")], "movement")
+        self.sort = Choice(
+            "Sort by",
+            [("name", "name"), ("movement", "movement")],
+            "movement",
+            tooltip="The order of the small pictures",
+        )
         self._row = row(spacing=4, margins=(12, 0, 12, 6))
-        head = row(label("Also watching", "heading"), self.count, None, self.sort, margins=(PADDING, 4, PADDING, 0))
+        head = row(
+            label("Also watching", "heading"), self.count, None, *more, self.sort, margins=(PADDING, 4, PADDING, 0)
+        )
         self.setLayout(column(head, self._row, spacing=2))
 
     def show_shapes(self, record: FitRecord, session: Session, number: int, direction: tuple[float, ...]) -> None:
@@ -228,7 +264,7 @@ class AlsoWatching(QFrame):
             if now is None or look is None or len(look.label) != len(now.positions):
                 one.show_points(None, None)
             else:
-                one.show_points(now.positions, point_colours(look, now, "part"))
+                one.show_points(*all_points(look, now))
             one.caption, one.warn = moved_text(record, one.name, number)
             one.current = one.name == session.shape
             one.look_from(direction)

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QFrame, QWidget
+from PySide6.QtGui import QKeyEvent, QWheelEvent
+from PySide6.QtWidgets import QFrame, QScrollArea, QWidget
 
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.lightbox import Lightbox
@@ -19,7 +20,7 @@ from shapeforge.viewer.qt.bind import Binding, action_button
 from shapeforge.viewer.qt.icons import refresh, set_icon
 from shapeforge.viewer.qt.widgets import (
     Clickable,
-    ElidedLabel,
+    EditableName,
     button,
     clear,
     column,
@@ -31,6 +32,49 @@ from shapeforge.viewer.qt.widgets import (
 )
 from shapeforge.viewer.readiness import next_step
 from shapeforge.viewer.session import Session
+
+
+class _Sideways(QScrollArea):
+    """Cards in a row; the wheel moves them sideways when they are more than the strip is wide."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setObjectName("panel")
+        self.setWidgetResizable(True)
+        self.setFrameShape(QFrame.Shape.NoFrame)
+        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+
+    def wheelEvent(self, event: QWheelEvent) -> None:
+        bar = self.horizontalScrollBar()
+        bar.setValue(bar.value() - event.angleDelta().y() - event.angleDelta().x())
+
+
+class LandmarkCard(Clickable):
+    """A landmark: a click shows it, a double click or F2 renames it, Delete (or its cross) forgets it."""
+
+    forgotten = Signal()
+
+    def __init__(self, name: str, about: str) -> None:
+        self.name = EditableName(name)
+        remove = button(icon="close", kind="icon", tooltip="Forget this landmark  (Del)")
+        super().__init__(
+            row(icon_label("pin", "text_2"), column(self.name, label(about, "caption"), spacing=0), remove,
+                margins=(10, 0, 4, 0)),
+            "card", tooltip="Show it on every shape. Double-click or F2: rename it.",
+        )  # fmt: skip
+        remove.clicked.connect(self.forgotten)
+        self.double_clicked.connect(self.name.start)
+        self.setMinimumWidth(168)
+        self.setMaximumHeight(46)
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        if event.key() == Qt.Key.Key_F2:
+            self.name.start()
+        elif event.key() in (Qt.Key.Key_Delete, Qt.Key.Key_Backspace):
+            self.forgotten.emit()
+        else:
+            super().keyPressEvent(event)
 
 
 class LandmarkStrip(QFrame):
@@ -54,10 +98,13 @@ class LandmarkStrip(QFrame):
                 margins=(16, 0, 16, 0)),
             height=44,
         )  # fmt: skip
-        self.cards = row(spacing=8, margins=(16, 5, 16, 6))
+        self.cards = row(spacing=8, margins=(16, 4, 16, 4))
         cards = QWidget()
+        cards.setObjectName("strip_cards")
         cards.setLayout(self.cards)
-        self.setLayout(column(head, separator(), cards, spacing=0))
+        area = _Sideways()
+        area.setWidget(cards)
+        self.setLayout(column(head, separator(), area, spacing=0))
 
     def show_next(self) -> None:
         """Lead on: learn the family, or make new shapes."""
@@ -77,20 +124,44 @@ class LandmarkStrip(QFrame):
         return Path(self.session.project.path) / "landmarks_kept.json"
 
     def read(self) -> list[dict[str, Any]]:
-        """Landmarks kept on this fit (template points mean nothing on another)."""
+        """The landmarks kept with the project.
+
+        A template point means nothing on another fit: then the place where the landmark was put, on the shape on which
+        it was put, tells which point it is now.
+        """
         try:
             kept = json.loads(self._file().read_text("utf-8"))
-            if kept["fit"] == self.session.project.fit_id:
-                return [
-                    m for m in kept["landmarks"] if 0 <= m["point"] < self.box.n_points and isinstance(m["name"], str)
-                ]
+            same = kept["fit"] == self.session.project.fit_id
+            found = [dict(mark) for mark in kept["landmarks"] if isinstance(mark["name"], str)]
         except (OSError, ValueError, KeyError, TypeError):
-            pass  # none kept, or not ours to read
-        return []
+            return []  # none kept, or not ours to read
+        if not same:
+            found = [self._found_again(mark) for mark in found]
+        valid = [m for m in found if m is not None and isinstance(m.get("point"), int)]
+        return [mark for mark in valid if 0 <= mark["point"] < self.box.n_points]
 
-    def _write_landmarks(self) -> None:
-        kept = {"version": 1, "fit": self.session.project.fit_id, "landmarks": self.marks}
+    def _found_again(self, mark: dict[str, Any]) -> dict[str, Any] | None:
+        shape, position = mark.get("shape"), np.asarray(mark.get("position", ()), float)
+        if shape not in self.box.names or position.shape != (3,) or not np.isfinite(position).all():
+            return None
+        point = self.box.point_at(shape, position @ self.box.known(shape).turn.T)
+        return None if point is None else mark | {"point": point}
+
+    def _set(self, marks: list[dict[str, Any]]) -> None:
+        self.marks = list(marks)
+        kept = {"version": 2, "fit": self.session.project.fit_id, "landmarks": self.marks}
         _write(self._file(), json.dumps(kept, indent=1))
+        self.show_marks()
+
+    def _change(self, what: str, marks: list[dict[str, Any]]) -> None:
+        """Other landmarks, as an edit that can be undone while this fit is looked at."""
+        before, fit = list(self.marks), self.session.project.fit_id
+
+        def put(wanted: list[dict[str, Any]]) -> None:
+            if self.session.project is not None and self.session.project.fit_id == fit:
+                self._set(wanted)
+
+        self.session.do(what, lambda: put(marks), lambda: put(before))
 
     def keep(self, point: int) -> None:
         """Keep a template point under the name of its place; one that is kept already stays."""
@@ -100,29 +171,42 @@ class LandmarkStrip(QFrame):
             base = name
             while name in taken:
                 name, number = f"{base} {number}", number + 1
-            self.marks.append({"name": name, "point": int(point)})
-            self._write_landmarks()
+            on = self.box.present_on(point)
+            shape = self.session.shape if self.session.shape in on else on[0]
+            known = self.box.known(shape)
+            position = (known.positions[point] @ known.turn).tolist()  # as the shape lies, whatever the next fit says
+            mark = {"name": name, "point": int(point), "shape": shape, "position": position}
+            self._change(f"keeping {name}", [*self.marks, mark])
         self.show_marks()
+
+    def forget(self, mark: dict[str, Any]) -> None:
+        """Forget a landmark."""
+        self._change(f"forgetting {mark['name']}", [one for one in self.marks if one is not mark])
+
+    def rename(self, mark: dict[str, Any], name: str) -> None:
+        """Call a landmark something else; an empty name, or one that is taken, is refused in the status."""
+        name = " ".join(name.split())
+        if not name or any(one["name"] == name for one in self.marks if one is not mark):
+            self.session.say(f"A landmark needs a name of its own, {name or 'nothing'!r} is none.", "warning")
+            self.show_marks()
+            return
+        renamed = [one | {"name": name} if one is mark else one for one in self.marks]
+        self._change(f"calling {mark['name']} {name}", renamed)
 
     def show_marks(self) -> None:
         """A card for each landmark."""
         clear(self.cards)
-        for mark in self.marks[:6]:
+        self.shown: list[LandmarkCard] = []
+        for mark in self.marks:
             on = self.box.present_on(mark["point"])
             sure = np.mean([self.box.confidence(name, mark["point"]) for name in on]) if on else 0.0
-            words = column(
-                ElidedLabel(mark["name"], "strong"),
-                label(f"{len(on)} shape{'s' * (len(on) != 1)} · {sure:.0%} sure", "caption"), spacing=1,
-            )  # fmt: skip
-            remove = button(icon="close", kind="icon", tooltip="Forget this landmark")
-            remove.clicked.connect(lambda _=False, mark=mark: self._forget(mark))
-            card = Clickable(
-                row(icon_label("pin", "text_2"), words, remove, margins=(10, 0, 4, 0)), "card", tooltip="Show it"
-            )
+            card = LandmarkCard(mark["name"], f"{len(on)} shape{'s' * (len(on) != 1)} · {sure:.0%} sure")
             card.clicked.connect(lambda mark=mark: self.chosen.emit(mark["point"]))
+            card.forgotten.connect(lambda mark=mark: self.forget(mark))
+            card.name.renamed.connect(lambda name, mark=mark: self.rename(mark, name))
             card.set_current(mark["point"] == self.session.picked)
-            card.setMaximumWidth(260)
-            self.cards.addWidget(card, 1)
+            self.shown.append(card)
+            self.cards.addWidget(card)
         if not self.marks:
             self.cards.addWidget(
                 label("Pick a point and keep it: it is placed once and carried to every shape.", "off")
@@ -133,11 +217,6 @@ class LandmarkStrip(QFrame):
         )
         refresh(self, self.session.theme)
 
-    def _forget(self, mark: dict[str, Any]) -> None:
-        self.marks.remove(mark)
-        self._write_landmarks()
-        self.show_marks()
-
     def export(self, path: Path) -> int:
         """Write every landmark on every shape, in its file's coordinates, as CSV; how many points."""
         project = self.session.project
@@ -145,7 +224,7 @@ class LandmarkStrip(QFrame):
         for name in self.box.names:
             frame = project.shapes[list(project.names).index(name)].frame
             for mark in self.marks:
-                position = self.box.known(name).positions[mark["point"]]
+                position = project.positions(name)[mark["point"]]  # as the shape lies in its file
                 if np.isfinite(position).all():
                     sure = self.box.confidence(name, mark["point"])
                     rows.append([name, mark["name"], *(f"{x:.6g}" for x in frame.to_input(position)), f"{sure:.3f}"])

@@ -138,7 +138,8 @@ class Overlay(QWidget):
         elif mark.kind == "dot":
             painter.setPen(QPen(QColor("#FFFFFF"), 1.6))
             painter.setBrush(self._colour("accent") if mark.colour is None else line)
-            painter.drawEllipse(here, 5.0, 5.0)
+            size = 5.0 if len(self.display.views) <= 3 else 4.0  # what is under it is to be seen, too
+            painter.drawEllipse(here, size, size)
         elif mark.kind == "halo":
             painter.setPen(QPen(QColor(0, 0, 0, 90), 3.6))
             painter.drawEllipse(here, 5.2, 5.2)

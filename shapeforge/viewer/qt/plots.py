@@ -22,10 +22,12 @@ Series = tuple[np.ndarray, np.ndarray, str]
 class Curves(QWidget):
     """One or several curves over whole numbers, with a dotted line at the one looked at."""
 
-    def __init__(self, x_name: str = "round", *, from_zero: bool = False, height: int = HEIGHT) -> None:
-        """``from_zero`` keeps 0 in sight on the value axis."""
+    def __init__(
+        self, x_name: str = "round", *, from_zero: bool = False, height: int = HEIGHT, numbered: bool = True
+    ) -> None:
+        """``from_zero`` keeps 0 in sight on the value axis; one that is not ``numbered`` stands above one that is."""
         super().__init__()
-        self._from_zero = from_zero
+        self._from_zero, self._numbered = from_zero, numbered
         self._series: list[Series] = []
         self._at: float | None = None
         self._last = 10
@@ -56,7 +58,7 @@ class Curves(QWidget):
         known = [y[np.isfinite(y)] for _, y, _ in self._series]
         flat = np.concatenate(known) if known else np.zeros(0)
         ticks = self._ticks(flat)
-        box = QRectF(LEFT, TOP, self.width() - LEFT - RIGHT, self.height() - TOP - BOTTOM)
+        box = QRectF(LEFT, TOP, self.width() - LEFT - RIGHT, self.height() - TOP - (BOTTOM if self._numbered else TOP))
 
         def place(x: float | int, y: float | int) -> QPointF:
             up = (y - ticks[0]) / (ticks[-1] - ticks[0])
@@ -73,9 +75,10 @@ class Curves(QWidget):
                 painter.setPen(QColor(tokens["text_2"]))
                 painter.drawText(QRectF(0, y - 8, LEFT - 8, 16), right, f"{tick:g}".replace("-", "−"))
         painter.setPen(QColor(tokens["text_2"]))
-        for number in range(0, self._last + 1, max(1, int(np.ceil(self._last / 5)))):
+        for number in range(0, self._last + 1, max(1, int(np.ceil(self._last / 5)))) if self._numbered else ():
             painter.drawText(QRectF(place(number, 0).x() - 16, box.bottom() + 8, 32, 14), middle, str(number))
-        painter.drawText(QRectF(0, box.bottom() + 8, LEFT - 8, 14), right, self._x_name)
+        if self._numbered:
+            painter.drawText(QRectF(0, box.bottom() + 8, LEFT - 8, 14), right, self._x_name)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         if self._at is not None and len(flat):
             painter.setPen(QPen(QColor(tokens["text_2"]), 1, Qt.PenStyle.DotLine))

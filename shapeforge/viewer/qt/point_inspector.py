@@ -8,14 +8,34 @@ from PySide6.QtGui import QColor, QPainter, QPen
 from PySide6.QtWidgets import QBoxLayout, QFrame, QWidget
 
 from shapeforge.viewer.actions import Actions
-from shapeforge.viewer.lightbox import Lightbox
+from shapeforge.viewer.fuzzy import MOST_BITS
+from shapeforge.viewer.lightbox import FARTHEST, FULL_PART_BITS, Lightbox
 from shapeforge.viewer.palette import tokens
 from shapeforge.viewer.qt.bars import HeatRamp, Histogram
 from shapeforge.viewer.qt.bind import Binding, action_button
 from shapeforge.viewer.qt.overlay import LOW_CONFIDENCE
+from shapeforge.viewer.qt.stale_note import stale_note
 from shapeforge.viewer.qt.theme import colours
 from shapeforge.viewer.qt.widgets import ElidedLabel, Swatch, column, icon_label, label, row, scrolled, section
 from shapeforge.viewer.session import Session
+
+LEGENDS: dict[str, tuple[str, tuple[str, str, str], str]] = {
+    "spread": ("How sure is the point", ("not here", "chance of the point", "surely here"), ""),
+    "entropy": (
+        "How sure is each place", ("sure", "bits", f"{MOST_BITS:g} or more"),
+        f"Entropy of which template point a place is: at {MOST_BITS:g} bits some {2**MOST_BITS:.0f} are as likely.",
+    ),
+    "part_entropy": (
+        "How sure is the part", ("sure", "bits", f"{FULL_PART_BITS:g} or more"),
+        "Entropy of which part a face is of: at 1 bit two are as likely.",
+    ),
+    "part": ("Parts", ("", "", ""), "The parts of the fit, in the colours of the palette."),
+    "coordinate": (
+        "Template coordinate", ("", "", ""), "Like colours are the same place of the template: x red, y green, z blue."
+    ),
+    "distance": ("Distance of the surfaces", ("0%", "of size", f"{100 * FARTHEST:g}% or more"), ""),
+}  # fmt: skip
+"""What the colours mean: a title, the ends and the middle of the ramp of heat (none: no ramp), a sentence."""
 
 
 class PointInspector(QFrame):
@@ -54,28 +74,32 @@ class PointInspector(QFrame):
         low.setAlignment(self.low_icon, Qt.AlignmentFlag.AlignTop)
         low.setStretch(1, 1)
         buttons = row(action_button(actions, "show_worst", binding, icon=False),
-                      action_button(actions, "correct", binding))  # fmt: skip
+                      action_button(actions, "correct_here", binding))  # fmt: skip
         buttons.setStretch(0, 1)
         buttons.setStretch(1, 1)
+        self.ramp = HeatRamp()
+        self.legend_title = label("", "heading")
+        self.legend = (label("", "caption"), label("", "caption"), label("", "caption"))
+        self.legend_text = label("", "caption", wrap=True)
+        ends = row(self.legend[0], None, self.legend[1], None, self.legend[2])
         sure = section(
-            label("How sure is the point", "heading"), HeatRamp(),
-            row(label("not here", "caption"), None, label("share of the point", "caption"), None,
-                label("all here", "caption")),
-            4, low, 4, buttons, line=False,
+            self.legend_title, self.ramp, ends, self.legend_text, 4, low, 4, buttons, line=False,
         )  # fmt: skip
+        self.overlay = action_button(actions, "overlay", binding)
         self.overlay_why = label("", "caption", wrap=True)
         foot = QFrame()
         foot.setObjectName("bar")
         foot.setLayout(
             column(
                 label("Compare", "heading"),
-                action_button(actions, "overlay", binding),
+                self.overlay,
                 self.overlay_why,
                 spacing=8,
                 margins=(16, 12, 16, 16),
             )  # fmt: skip
         )
-        inside = column(scrolled(picked, distance, sure), foot, spacing=0)
+        stale = stale_note(actions, binding, "fit", "go_fit", "Fit again")
+        inside = column(scrolled(stale, picked, distance, sure), foot, spacing=0)
         inside.setStretch(0, 1)
         self.setLayout(inside)
 
@@ -88,10 +112,20 @@ class PointInspector(QFrame):
             one.setStretch(2, 1)
         return rows
 
+    def show_legend(self, colour_by: str) -> None:
+        """Say what the colours mean: COLOURS of the place, or "distance" of two overlaid shapes."""
+        title, ends, text = LEGENDS[colour_by]
+        self.legend_title.setText(title)
+        for one, words in zip(self.legend, ends, strict=True):
+            one.setText(words)
+            one.setVisible(bool(ends[0]))
+        self.ramp.setVisible(bool(ends[0]))
+        self.legend_text.setText(text)
+        self.legend_text.setVisible(bool(text))
+
     def show_points(self, box: Lightbox, second: int | None) -> None:
         """Show the picked points of the session and ``second``, what they measure and how sure they are."""
         picked = self.session.picked
-        of = len(box.names)
         for point, name, on in ((picked, self.first_name, self.first_on), (second, self.second_name, self.second_on)):
             hint = "Click a point on a shape" if name is self.first_name else ""
             name.setText(hint if point is None else box.describe(point))
@@ -106,7 +140,9 @@ class PointInspector(QFrame):
         if measured:
             lengths = {name: 100 * length for name, length in box.distances(picked, second).items()}
             self._show_distances(lengths)
-        present = box.names if picked is None else box.present_on(picked)
+        present = [name for name in box.names if name not in set(box.unread)]
+        of = len(present)
+        present = present if picked is None else box.present_on(picked)
         low = [name for name in present if box.confidence(name, picked) < LOW_CONFIDENCE]
         self.low_icon.setVisible(bool(low))
         self.low_title.setText(f"{len(low)} shape{'s' * (len(low) != 1)} below 50%" if low else "No shape below 50%")
@@ -115,7 +151,7 @@ class PointInspector(QFrame):
         self.low_text.setText(doubt if low else meaning)
         chosen = len(self.session.selected)
         self.overlay_why.setText(
-            "" if chosen == 2 else f"Select exactly two shapes first (Ctrl-click), {chosen or 'none'} selected."
+            "" if chosen == 2 else f"Select exactly two shapes first (Ctrl-click, or S), {chosen or 'none'} selected."
         )
 
     def _show_distances(self, lengths: dict[str, float]) -> None:

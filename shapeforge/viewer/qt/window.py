@@ -5,10 +5,11 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from threading import Thread
 from typing import Any, Protocol, runtime_checkable
 
 from PySide6.QtCore import QObject, Qt, Signal
-from PySide6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent, QKeySequence
+from PySide6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent, QKeySequence, QShowEvent
 from PySide6.QtOpenGLWidgets import QOpenGLWidget
 from PySide6.QtWidgets import (
     QApplication,
@@ -22,6 +23,7 @@ from PySide6.QtWidgets import (
 )
 
 from shapeforge.viewer.actions import PLACE_NAMES, Actions, place_verdict
+from shapeforge.viewer.preload import preload
 from shapeforge.viewer.qt import icons
 from shapeforge.viewer.qt.bind import ENABLING, Binding, native, tooltip_of
 from shapeforge.viewer.qt.collector import Collector
@@ -109,6 +111,7 @@ class Window(QWidget):
         self.places: dict[str, Place] = {}
         self._items: dict[str, QAction] = {}
         self._entered: str | None = None
+        self._preload: Thread | None = None
         self._build()
         self.binding.on(("theme",), self._show_theme)
         self.binding.on(("project", "place"), self._show_place)
@@ -307,6 +310,11 @@ class Window(QWidget):
             if self.runner.paused:  # a single step is over
                 self.session.is_paused = True
 
+    def showEvent(self, event: QShowEvent) -> None:
+        super().showEvent(event)
+        if self._preload is None:
+            self._preload = preload()
+
     # -- the window itself -----------------------------------------------------------------------------------------
 
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:
@@ -334,5 +342,7 @@ class Window(QWidget):
             shut = getattr(view, "shut", None)
             if shut is not None:
                 shut()
+        if self._preload is not None:
+            self._preload.join(LONGEST_WAIT)
         self._collector.close()
         super().closeEvent(event)

@@ -1,0 +1,88 @@
+"""The strip of the Fit place: run, pause, step and stop, how far it is, and the scrubber over the rounds."""
+
+from __future__ import annotations
+
+from PySide6.QtWidgets import QWidget
+
+from shapeforge.viewer.actions import Actions
+from shapeforge.viewer.fit_record import FitRecord
+from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.fit_widgets import Scrubber
+from shapeforge.viewer.qt.icons import set_icon
+from shapeforge.viewer.qt.theme import PADDING
+from shapeforge.viewer.qt.widgets import ElidedLabel, column, label, row, set_style
+from shapeforge.viewer.readiness import other_quality, stage_status
+from shapeforge.viewer.runner import duration
+from shapeforge.viewer.session import Session
+
+
+class RunStrip(QWidget):
+    """Shows how the fit goes; its buttons are actions of the table."""
+
+    def __init__(self, actions: Actions, binding: Binding) -> None:
+        super().__init__()
+        self.actions = actions
+        self.run = action_button(actions, "fit", binding, kind="primary")
+        self.run.setFixedWidth(112)
+        self.step = action_button(actions, "step", binding, text="", kind="tool")
+        self.stop = action_button(actions, "stop", binding, text="", kind="tool")
+        self.round_text, self.left_text = label("", "heading"), label("", "text2")
+        self.phase_text = ElidedLabel("", "caption")
+        self.problem = label("", "caption_error", wrap=True)
+        self.problem.setFixedSize(244, 30)
+        left = column(
+            row(self.run, self.step, self.stop, label("Space", "keycap"), None),
+            4, row(self.round_text, self.left_text, None, spacing=4), self.phase_text, self.problem, None,
+            spacing=0, margins=(PADDING, 12, 0, 0),
+        )  # fmt: skip
+        holder = QWidget()
+        holder.setFixedWidth(264)
+        holder.setLayout(left)
+        self.scrubber = Scrubber()
+        box = row(holder, spacing=8, margins=(0, 0, 8, 0))
+        box.addWidget(self.scrubber, 1)
+        self.setLayout(box)
+
+    def show_run(self, session: Session, record: FitRecord) -> bool:
+        """Show what runs and how far it is; whether the fit is complete."""
+        progress = session.progress
+        mine = session.running and session.stage == "fit"
+        done = not session.running and stage_status(session).get("fit")
+        finished = bool(done) and done.state == "done"
+        going_on = bool(done) and done.state == "partial" and not other_quality(session)
+        words = "Resume" if mine and session.is_paused else "Pause" if mine else "Go on" if going_on else "Run"
+        self.run.setText(words if not finished else "Run again")
+        set_style(self.run, "kind", "" if finished else "primary")
+        set_icon(self.run, "pause" if mine and not session.is_paused else "play", "text_2" if finished else "on_accent")
+        newest = record.newest
+        self.round_text.setText(f"Round {max(newest, 0)} of {record.planned}" if newest >= 0 else "Not fitted yet")
+        left = progress.seconds_left if mine and progress is not None and not session.is_paused else None
+        self.left_text.setText(
+            f"· {duration(left)} left" if left is not None else "· paused" if mine and session.is_paused else ""
+        )
+        failed = not mine and session.status_kind == "error" and bool(session.status)
+        self.phase_text.setText(self._phase(session, mine, finished))
+        self.problem.setText(session.status if failed else "")
+        self.problem.setToolTip(session.status if failed else "")
+        for one, shown in ((self.problem, failed), (self.phase_text, not failed)):
+            one.setVisible(shown)
+        return finished
+
+    def _phase(self, session: Session, mine: bool, finished: bool) -> str:
+        progress = session.progress
+        if mine and session.is_paused:
+            return "paused; what is done is kept"
+        if mine and progress is None:
+            return "starting…"
+        if mine:
+            if progress.phase == "faces":
+                return f"labelling faces, shape {progress.step} of {progress.of}"
+            if progress.phase == "fit" and progress.step == 0:
+                return "aligned; the first round is under way"
+            return f"round {progress.step + 1} is under way" if progress.phase == "fit" else progress.message
+        if session.status and session.status_kind in ("error", "warning"):
+            return session.status
+        status = stage_status(session).get("fit")
+        if status is not None and status.state == "stale":
+            return f"out of date: {status.reason}"
+        return "done" if finished else self.actions.verdict("fit")[1] or session.status

@@ -1,0 +1,35 @@
+"""A note that what is shown is out of date, why, and the button that leads on."""
+
+from __future__ import annotations
+
+from PySide6.QtWidgets import QFrame
+
+from shapeforge.viewer.actions import Actions
+from shapeforge.viewer.qt.bind import Binding, keep_enabled
+from shapeforge.viewer.qt.widgets import button, column, framed, icon_label, label, row
+from shapeforge.viewer.readiness import stage_status
+
+FOLLOWS = {"fit": "What is shown is still the old fit.", "learn": "What is shown is still the old model."}
+
+
+def stale_note(actions: Actions, binding: Binding, stage: str, then: str, text: str) -> QFrame:
+    """A frame that is there only while the results of ``stage`` are out of date; ``then`` is the action offered."""
+    why = label("", "caption", wrap=True)
+    go = button(text, kind="link")
+    go.clicked.connect(lambda: actions.run(then))
+    keep_enabled(go, actions, then, binding)
+    words = column(label("Out of date", "heading"), why, 2, row(go, None), spacing=2)
+    sign = column(icon_label("warning", "warning"), None)
+    note = framed(row(sign, words, margins=(12, 10, 12, 10)), "note")
+    holder = framed(column(note, margins=(16, 12, 16, 0)), "stale")
+    session = actions.session
+
+    def show() -> None:
+        found = stage_status(session).get(stage)
+        stale = found is not None and found.state == "stale"
+        reason = found.reason if stale else ""
+        why.setText(f"{reason[:1].upper()}{reason[1:].rstrip('.')}. {FOLLOWS[stage]}" if stale else "")
+        holder.setVisible(stale)
+
+    binding.on(("project", "data", "running", "place"), show)
+    return holder
