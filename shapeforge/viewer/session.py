@@ -79,7 +79,7 @@ class Edits:
 class Session:
     """State of the window; every assignment that changes a field emits ``events.<field>(new, old)``.
 
-    ``part`` is the part painted with (index), ``brush_size`` a radius in diagonals, ``watched`` the shapes seen during
+    ``group`` is the group looked at (index), ``part`` the part painted with (index), ``brush_size`` a radius in diagonals, ``watched`` the shapes seen during
     a fit, ``round`` the recorded round looked at (None: the newest), ``compare`` the shapes compared, ``picked`` a
     template point (index), ``sliders`` direction index -> value (standard deviations), ``parts_on`` part index ->
     existence asked of a draw.  Assign new tuples and dicts; changing a dict in place tells nobody.
@@ -95,6 +95,7 @@ class Session:
     project: Any = None
     place: str = "collection"
     shape: str | None = None
+    group: int = 0
     part: int = 0
     tool: str = "brush"
     brush_size: float = 0.034
@@ -135,7 +136,7 @@ class Session:
 
     def open(self, project: Any) -> None:
         """Look at another project (None: none): selections of the old one are dropped first."""
-        self.shape, self.selected, self.watched, self.compare = None, (), (), ()
+        self.shape, self.group, self.selected, self.watched, self.compare = None, 0, (), (), ()
         self.round, self.picked, self.sliders, self.parts_on = None, None, {}, {}
         self.progress, self.history, self.place = None, Edits(), "collection"
         self.revision += 1
