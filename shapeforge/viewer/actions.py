@@ -323,12 +323,12 @@ def _collection_actions(actions: Actions) -> list[Action]:
         Action("paint_next", "Paint the next exemplar", _paint_next, _can_paint_next, "",
                "Paint the parts of the next exemplar", "right",
                "collection"),
-        Action("look_at", "Look at it", _look_at, _has_shape, "Return", "Open the selected shape in Paint", "eye",
+        Action("look_at", "Paint it", _look_at, _has_shape, "Return", "Open the selected shape in Paint", "paint",
                "collection"),
         Action("make_exemplar", "Make it the exemplar", make_exemplar, can_make_exemplar, "E",
                "The exemplar is the shape you paint for its group", "star", "collection"),
-        Action("leave_out", "Leave it out", leave_out, can_leave_out, "X",
-               "Take the shape out of its group, or put it back",
+        Action("leave_out", "Leave out", leave_out, can_leave_out, "X",
+               "Take the selected shapes out of their groups, or put them back",
                "eye_off", "collection"),
     ]  # fmt: skip
 

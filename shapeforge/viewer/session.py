@@ -79,10 +79,12 @@ class Edits:
 class Session:
     """State of the window; every assignment that changes a field emits ``events.<field>(new, old)``.
 
-    ``group`` is the group looked at (index), ``part`` the part painted with (index), ``brush_size`` a radius in diagonals, ``watched`` the shapes seen during
-    a fit, ``round`` the recorded round looked at (None: the newest), ``compare`` the shapes compared, ``picked`` a
-    template point (index), ``sliders`` direction index -> value (standard deviations), ``parts_on`` part index ->
-    existence asked of a draw.  Assign new tuples and dicts; changing a dict in place tells nobody.
+    ``group`` is the group looked at (index), ``part`` the part painted with (index), ``brush_size`` a radius in
+    diagonals, ``watched`` the shapes seen during a fit, ``round`` the recorded round looked at (None: the newest),
+    ``compare`` the shapes compared, ``picked`` a template point (index), ``sliders`` direction index -> value (standard
+    deviations), ``parts_on`` part index -> existence asked of a draw, ``arrangement`` how the collection is seen
+    ("map", "grid" or "large"), ``turn`` the rotation (rows) by which the selected shapes are being turned, None while
+    none is.  Assign new tuples and dicts; changing a dict in place tells nobody.
     """
 
     # Compared by identity: comparing their arrays would be slow and ambiguous.
@@ -103,6 +105,8 @@ class Session:
     mirror: bool = False
     theme: str = "dark"
     colour_by: str = "group"
+    arrangement: str = "map"
+    turn: tuple[tuple[float, ...], ...] | None = None
     watched: tuple[str, ...] = ()
     round: int | None = None
     compare: tuple[str, ...] = ()
@@ -139,6 +143,7 @@ class Session:
         self.shape, self.group, self.selected, self.watched, self.compare = None, 0, (), (), ()
         self.round, self.picked, self.sliders, self.parts_on = None, None, {}, {}
         self.progress, self.history, self.place = None, Edits(), "collection"
+        self.turn = None
         self.revision += 1
         self.project = project
         self.say("" if project is None else f"Opened {getattr(project, 'name', Path(project.path).name)}")

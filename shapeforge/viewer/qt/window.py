@@ -148,19 +148,26 @@ class Window(QWidget):
         outer.addWidget(self.rail)
         outer.addLayout(column(self.header, self.pages, spacing=0), 1)
 
-    def _install(self, centres: dict[str, QWidget] | None = None) -> None:
-        """A QAction for every action that has none yet; a place's own keys work while its centre has the focus."""
+    def _install(self, pieces: dict[str, tuple[QWidget, ...]] | None = None) -> None:
+        """A QAction for every action that has none yet; a place's own keys work while one of its pieces has the focus.
+
+        Enter, Space and the arrows belong to whatever button or slider has the focus, so outside of the centre (the
+        first piece) they are no shortcuts.
+        """
         for name, action in self.actions_table.items():
-            owner = self if action.place is None else (centres or {}).get(action.place)
-            if name in self._items or owner is None:
+            owners = (self,) if action.place is None else (pieces or {}).get(action.place, ())
+            if name in self._items or not owners:
                 continue
+            owner = owners[0]
             item = QAction(action.label, owner)
             if action.place is not None:
                 item.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
             item.setShortcut(QKeySequence(action.shortcut))
             # Always on: a key pressed in vain puts its reason into the status.
             item.triggered.connect(lambda _=False, name=name: self.actions_table.run(name))
-            owner.addAction(item)
+            far = owners if action.shortcut == "Escape" or len(action.shortcut.split("+")[-1]) == 1 else owners[:1]
+            for one in far:
+                one.addAction(item)
             self._items[name] = item
 
     def place(self, name: str) -> Place:
@@ -177,7 +184,7 @@ class Window(QWidget):
                 stack.addWidget(piece)
                 icons.refresh(piece, self.session.theme)
             self.places[name] = made
-            self._install({name: made.centre})
+            self._install({name: (made.centre, made.toolbar_widget, made.strip, made.inspector)})
         return self.places[name]
 
     def _show_place(self) -> None:
