@@ -128,22 +128,38 @@ class Actions(Mapping[str, Action]):
 
         self.session.open(Project.open(path))
 
-    def import_shapes(self, paths: tuple[Path, ...]) -> None:
-        """Import mesh files and folders: into the open project, else into a new one beside the first of them."""
+    def offer_import(self, paths: tuple[Path, ...]) -> None:
+        """Show what would be imported, where the desk can; else import it at once."""
+        can, why = self.verdict("import_files")
+        if not can:
+            self.session.say(why, "warning")
+            return
+        preview = getattr(self.desk, "preview_import", None)
+        if preview is None:
+            self.import_shapes(paths)
+        else:
+            preview(paths, lambda chosen, up: self.import_shapes(chosen, beside=paths[0], up=up))
+
+    def import_shapes(self, paths: tuple[Path, ...], *, beside: Path | None = None, up: str | None = None) -> None:
+        """Import mesh files and folders: into the open project, else into a new one ``beside`` the first of them.
+
+        ``up`` as in the import stage; None: as the last import had it.
+        """
         from shapeforge import stages
         from shapeforge.store import Project
 
         project = self.session.project
         if project is None:
-            first = paths[0].resolve()
+            first = (beside or paths[0]).resolve()
             project = Project.open_or_create(
                 free_folder(first.parent, f"{first.stem if first.is_file() else first.name}-project")
             )
             self.session.open(project)
+        options = {} if up is None else {"up": up}
         self.desk.start(
             "import",
             lambda: _one_after_another(
-                stages.run(project, "import", meshes=list(paths)), lambda: stages.run(project, "group")
+                stages.run(project, "import", meshes=list(paths), **options), lambda: stages.run(project, "group")
             ),
         )
 
@@ -199,12 +215,12 @@ def _project_actions(actions: Actions) -> list[Action]:
     def import_files(session: Session) -> None:
         files = desk.choose_files("Import shapes", MESH_ENDINGS)
         if files:
-            actions.import_shapes(files)
+            actions.offer_import(files)
 
     def import_folder(session: Session) -> None:
         folder = desk.choose_folder("Import a folder of models")
         if folder is not None:
-            actions.import_shapes((folder,))
+            actions.offer_import((folder,))
 
     def demo(session: Session) -> None:
         actions.try_demo(free_folder(Path.home(), "shapeforge-demo"))

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from shapeforge.stages_pose import Before, put_back, turn_by_hand
-from shapeforge.viewer.display import LineLayer, Mark, MeshLayer, View
+from shapeforge.viewer.display import LineLayer, Mark, MeshLayer, PointLayer, View
 from shapeforge.viewer.readiness import YES, Verdict, group_of, groups_of, needs_rest
 from shapeforge.viewer.regroup import chosen_shapes
 from shapeforge.viewer.session import Session
@@ -133,9 +133,15 @@ def turned_view(view: View, rotation: Float[np.ndarray, "3 3"]) -> View:
     return View(tuple(layers), view.marks, view.captions, name=view.name, selected=view.selected)
 
 
+def room_for_rings() -> PointLayer:
+    """Nothing that is seen: it keeps the camera far enough for the rings."""
+    places = np.concatenate([ring(axis)[::8] for axis in range(3)]) * 1.12
+    return PointLayer("room", places, np.zeros((len(places), 3), np.uint8), 1.0, 0.0)
+
+
 def front_arrow(reach: float = 0.66) -> LineLayer:
     """An arrow on the floor that points to the front (+z)."""
-    tip, back, low = (0.0, -0.5, reach), 0.06, -0.5
+    tip, back, low = (0.0, -0.45, reach), 0.06, -0.45
     segments = [
         [(0.0, low, reach - 0.2), tip],
         [tip, (-back, low, reach - back)],

@@ -81,7 +81,7 @@ class CollectionPlace:
         self.binding.on(("theme",), self._show_all, now=False)
         self.binding.on(("shape", "selected", "group"), self._show_selection, now=False)
         self.binding.on(("arrangement", "turn"), self._show_map, now=False)
-        self.binding.on(("running", "progress", "status"), self._show_progress, now=False)
+        self.binding.on(("running", "progress", "status", "turn"), self._show_progress, now=False)
 
     def enter(self) -> None:
         """Show the project as it is now."""

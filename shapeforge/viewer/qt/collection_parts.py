@@ -28,6 +28,7 @@ from shapeforge.viewer.qt.widgets import (
     row,
     section,
     separator,
+    set_style,
 )
 from shapeforge.viewer.readiness import group_of, groups_of, next_step, next_to_paint, unpainted_exemplars
 from shapeforge.viewer.regroup import chosen_shapes, is_left_out
@@ -156,6 +157,9 @@ class CollectionStrip(QWidget):
     def _show_next(self) -> None:
         name, text = next_step(self.session)
         self.next.setText(text)
+        turning = self.session.turn is not None  # one blue button at a time: "Keep" is it then
+        set_style(self.next, "kind", "" if turning else "primary")
+        set_icon(self.next, "right", "text_2" if turning else "on_accent")
         can, why = self.actions.verdict(name)
         self.next.setEnabled(can)
         self.next.setToolTip(why if not can else self.actions[name].tooltip)

@@ -246,9 +246,10 @@ class GroupMap(QWidget):
             self._paint_frame(painter, tokens, box.adjusted(3, 3, -3, -3), chosen, index)
             picture_box = box.adjusted(10, 6, -10, -22)
         elif exemplar:
-            accent = QColor(tokens["accent"]) if chosen else colour
+            marked = chosen or name in self.selected
+            accent = QColor(tokens["accent"]) if marked else colour
             fill = QColor(accent)
-            fill.setAlphaF(0.25 if chosen else 0.10)
+            fill.setAlphaF(0.25 if marked else 0.10)
             painter.setPen(QPen(accent, 2))
             painter.setBrush(fill)
             painter.drawEllipse(centre, tile * 0.56, tile * 0.56)

@@ -28,6 +28,7 @@ from shapeforge.viewer.turning import (
     reference_of,
     ring,
     ring_marks,
+    room_for_rings,
     rotation_of,
     set_rotation,
     turned_view,
@@ -58,7 +59,7 @@ class LargeView(QWidget):
         self._held: tuple[int, float, np.ndarray] | None = None
         self._under: int | None = None
         self._shown: tuple | None = None
-        self._front = front_arrow()
+        self._front, self._room = front_arrow(), room_for_rings()
         self.about = ElidedLabel("", "text2")
         looking = row(self.about, None, action_button(actions, "turn_shape", binding), margins=(PADDING, 0, 12, 0))
         looking.setStretch(0, 1)
@@ -141,10 +142,14 @@ class LargeView(QWidget):
                     name=name)  # fmt: skip
 
     def _turned(self, name: str, names: tuple[str, ...]) -> View:
-        how = "drag a ring; Shift turns finely" if len(names) == 1 else f"{len(names) - 1} more turn along"
+        how = (
+            "drag a ring (Shift: finely); the arrow points to the front"
+            if len(names) == 1
+            else f"{len(names) - 1} more turn along"
+        )
         shown = turned_view(self._view(name, (how, "plain")), rotation_of(self.session))
         held = self._held[0] if self._held is not None else self._under
-        return View((*shown.layers, self._front), ring_marks(held), shown.captions, name=name)
+        return View((*shown.layers, self._front, self._room), ring_marks(held), shown.captions, name=name)
 
     # -- the rings -------------------------------------------------------------------------------------------------
 

@@ -30,6 +30,7 @@ from shapeforge.viewer.qt.rail import Rail
 from shapeforge.viewer.qt.start_page import EmptyPlace, StartPage, dropped_paths, take_drop
 from shapeforge.viewer.qt.theme import INSPECTOR, MINIMUM_SIZE, STRIP, TOOL_ROW, font, style_sheet
 from shapeforge.viewer.qt.widgets import column, label
+from shapeforge.viewer.recent import remember
 from shapeforge.viewer.runner import Runner, deliver
 from shapeforge.viewer.session import PLACES, Session
 
@@ -109,6 +110,7 @@ class Window(QWidget):
         self.places: dict[str, Place] = {}
         self._items: dict[str, QAction] = {}
         self._entered: str | None = None
+        self._remembered: Path | None = None
         self._build()
         self.binding.on(("theme",), self._show_theme)
         self.binding.on(("project", "place"), self._show_place)
@@ -201,6 +203,9 @@ class Window(QWidget):
             session.place = "collection"
             return
         self.setWindowTitle(f"{session.project.name} – shapeforge")
+        if self._remembered != session.project.path:
+            self._remembered = session.project.path
+            remember(session.project.path)
         self.pages.setCurrentIndex(1)
         if self._entered == session.place:
             return
@@ -243,6 +248,13 @@ class Window(QWidget):
         pattern = " ".join(f"*.{ending}" for ending in endings)
         chosen, _ = QFileDialog.getOpenFileNames(self, title, "", f"Files ({pattern});;All files (*)")
         return tuple(Path(one) for one in chosen)
+
+    def preview_import(self, paths: tuple[Path, ...], go: Callable[[tuple[Path, ...], str], None]) -> None:
+        """Show what is in the files; ``go(paths, up)`` when the user wants them."""
+        from shapeforge.viewer.qt.import_dialog import ImportDialog
+
+        self.import_dialog = ImportDialog(self.session, paths, go, self)
+        self.import_dialog.open()
 
     def choose_save(self, title: str, name: str) -> Path | None:
         """Ask where to save."""
