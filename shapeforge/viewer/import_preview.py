@@ -89,7 +89,8 @@ def summary(seen: Sequence[FilePreview]) -> str:
     text = f"{len(read)} of {len(seen)} can be read"
     units = [one.unit for one in read if one.unit]
     if units:
-        text += f" · sizes look like {max(set(units), key=units.count)}"
+        words = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
+        text += f" · sizes look like {words[max(sorted(set(units)), key=units.count)]}"
     lying = sum(one.up.startswith("turned") for one in read)
     return text + (f" · {lying} seem{'s' * (lying == 1)} not to stand upright" if lying else "")
 

@@ -80,11 +80,12 @@ class Session:
     """State of the window; every assignment that changes a field emits ``events.<field>(new, old)``.
 
     ``group`` is the group looked at (index), ``part`` the part painted with (index), ``brush_size`` a radius in
-    diagonals, ``watched`` the shapes seen during a fit, ``round`` the recorded round looked at (None: the newest),
-    ``compare`` the shapes compared, ``picked`` a template point (index), ``sliders`` direction index -> value (standard
-    deviations), ``parts_on`` part index -> existence asked of a draw, ``arrangement`` how the collection is seen
-    ("map", "grid" or "large"), ``turn`` the rotation (rows) by which the selected shapes are being turned, None while
-    none is.  Assign new tuples and dicts; changing a dict in place tells nobody.
+    diagonals, ``fill_to`` where the fill tool stops ("creases" or "patch"), ``watched`` the shapes seen during a fit,
+    ``round`` the recorded round looked at (None: the newest), ``compare`` the shapes compared, ``picked`` a template
+    point (index), ``sliders`` direction index -> value (standard deviations), ``parts_on`` part index -> existence
+    asked of a draw, ``arrangement`` how the collection is seen ("map", "grid" or "large"), ``turn`` the rotation (rows)
+    by which the selected shapes are being turned, None while none is.  Assign new tuples and dicts; changing a dict in
+    place tells nobody.
     """
 
     # Compared by identity: comparing their arrays would be slow and ambiguous.
@@ -102,6 +103,7 @@ class Session:
     tool: str = "brush"
     brush_size: float = 0.034
     reach: str = "surface"
+    fill_to: str = "creases"
     mirror: bool = False
     theme: str = "dark"
     colour_by: str = "group"

@@ -61,6 +61,7 @@ class ImportDialog(QDialog):
         self.table.setHorizontalHeaderLabels(HEADINGS)
         self.table.verticalHeader().hide()
         self.table.setShowGrid(False)
+        self.table.setWordWrap(False)
         self.table.setIconSize(QSize(40, 40))
         self.table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
@@ -101,9 +102,10 @@ class ImportDialog(QDialog):
         self._show_count()
 
     def _add(self, one: FilePreview) -> None:
-        self.seen.append(one)
         theme = self.session.theme
-        line = self.table.rowCount()
+        # What cannot be read comes first: it is what needs a look.
+        line = sum(bool(other.problem) for other in self.seen) if one.problem else len(self.seen)
+        self.seen.insert(line, one)
         self.table.blockSignals(True)
         self.table.insertRow(line)
         self.table.setRowHeight(line, 48)
@@ -112,7 +114,7 @@ class ImportDialog(QDialog):
         flags = Qt.ItemFlag.ItemIsEnabled | Qt.ItemFlag.ItemIsSelectable
         if one.problem:
             name.setFlags(flags)
-            name.setIcon(QIcon(icons.pixmap("error", tokens(theme)["error"], 16)))
+            name.setIcon(QIcon(icons.pixmap("error", tokens(theme)["error"], 16, 1.0)))
             remark = QTableWidgetItem(f"not read: {one.problem}")
             remark.setToolTip(f"{one.problem}. {one.remedy}.")
         else:
@@ -122,7 +124,7 @@ class ImportDialog(QDialog):
             remark.setToolTip("\n".join((one.up, *one.notes)))
         sign = "error" if one.problem else "warning" if one.is_doubtful else "ok"
         drawn = {"error": "error", "warning": "warning", "ok": "check"}[sign]
-        remark.setIcon(QIcon(icons.pixmap(drawn, tokens(theme)[sign], 14)))
+        remark.setIcon(QIcon(icons.pixmap(drawn, tokens(theme)[sign], 16, 1.0)))
         cells = (name, QTableWidgetItem("" if one.problem else grouped(one.n_faces)),
                  QTableWidgetItem("" if one.problem else size_words(one)), remark)  # fmt: skip
         for number, cell in enumerate(cells):

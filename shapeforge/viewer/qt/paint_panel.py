@@ -70,7 +70,8 @@ class PaintPlace:
         self.binding.on(("shape",), self._open, now=False)
         self.binding.on(("tool", "mirror", "part", "theme"), self._show_tool, now=False)
         self.binding.on(("part",), self.parts.show_chosen, now=False)
-        self.binding.on(("brush_size", "reach"), self.brush.show_brush, now=False)
+        self.binding.on(("brush_size", "reach", "fill_to"), self.brush.show_brush, now=False)
+        self.binding.on(("fill_to", "reach"), self._show_tool, now=False)
         self.binding.on(("data", "running"), self._show_next, now=False)
 
     # ---- building ------------------------------------------------------------------------------------------------
@@ -91,6 +92,14 @@ class PaintPlace:
             add(f"part_{number}", f"Part {number}", lambda n=number: self._take_part(n - 1), str(number))
         add("mirror", "Mirror", self._toggle_mirror, "M", "Paint the opposite side too", "mirror", self._can_mirror)
         add("isolate", "Isolate", self._toggle_isolate, "H", "Show only the current part and what is unpainted", "eye")
+        add("hide_part", "Hide the part", lambda: self._hide(self.session.part), "Shift+H",
+            "Hide the current part, or show it again", "eye_off", self._can_hide)  # fmt: skip
+        add("show_all_parts", "Show all parts", self._show_all_parts, "Ctrl+Shift+H", "Open every part's eye", "",
+            self._can_show_all)  # fmt: skip
+        add("reach", "Surface or through", lambda: self._toggle("reach", "surface", "through"), "T",
+            "Brush and lasso take what is seen, or what lies behind, too")  # fmt: skip
+        add("fill_to", "Fill to creases or patch", lambda: self._toggle("fill_to", "creases", "patch"), "Shift+F",
+            "Where the fill stops")  # fmt: skip
         add("smaller", "Smaller brush", lambda: self._resize(-1), "[")
         add("larger", "Larger brush", lambda: self._resize(1), "]")
         add("next_piece", "Next piece", self._go_next, "N", "Turn to the next unpainted piece", "", self._can_go_next)
@@ -288,6 +297,27 @@ class PaintPlace:
             YES if self.painter.mirror_plane is not None else (False, f"{self.painter.name} is not symmetric enough.")
         )
 
+    def _toggle(self, field: str, first: str, second: str) -> None:
+        setattr(self.session, field, second if getattr(self.session, field) == first else first)
+
+    def _can_hide(self, session: Session) -> tuple[bool, str]:
+        names = () if session.project is None else self.painter.part_names
+        return YES if session.part < len(names) else (False, "There is no part yet: add one first.")
+
+    def _hide(self, part: int) -> None:
+        self.parts.hide_part(part)
+        self.session.edit_count += 1  # what can be done depends on it
+
+    def _can_show_all(self, _session: Session) -> tuple[bool, str]:
+        return YES if self.painter.hidden or self.painter.isolated else (False, "All parts are shown.")
+
+    def _show_all_parts(self) -> None:
+        self.painter.hidden, self.painter.isolated = frozenset(), False
+        self.isolate.setChecked(False)
+        self.parts.show_parts()
+        self._changed_view()
+        self.session.edit_count += 1
+
     def _toggle_mirror(self) -> None:
         self.session.mirror = not self.session.mirror
 
@@ -330,12 +360,14 @@ class PaintPlace:
         set_icon(self.tool_icon, session.tool, "accent_text", 18)
         self.tool_name.setText(TOOL_NAMES[session.tool])
         part = names[session.part] if session.part < len(names) else "the first part"
+        stop = "the creases" if session.fill_to == "creases" else "the edge of its patch"
+        depth = "seen only" if session.reach == "surface" else "through and through"
         how = {
             "brush": f"drag paints {part} · Ctrl erases · wheel changes the size · Alt turns the view",
             "eraser": "drag takes paint away · wheel changes the size · Alt turns the view",
-            "fill": f"click paints {part} up to the creases · Ctrl erases · Alt turns the view",
+            "fill": f"click paints {part} up to {stop} · Ctrl erases · Alt turns the view",
             "piece": f"click paints the whole loose piece {part} · Ctrl erases · Alt turns the view",
-            "lasso": f"drag around what is {part} · Ctrl erases · Alt turns the view",
+            "lasso": f"drag around what is {part}, {depth} · Ctrl erases · T changes · Alt turns the view",
             "scribble": f"one stroke on each part, now {part}; the rest is filled in",
             "eyedropper": "click takes the part under the pointer",
         }[session.tool]
