@@ -230,13 +230,20 @@ class Painter:
 
     def complete(self, *, by_hand_only: bool = False) -> bool:
         """Fill in what is unpainted from what is painted (``by_hand_only``: from strokes, redoing earlier fillings)."""
-        seeds = self.state.labels.copy()
-        if by_hand_only:
-            seeds[~self._by_hand()] = UNLABELLED
-        faces = brushes.complete(self.mesh, self.surface, seeds, len(self.part_names))
+        seeds = self.strokes_only() if by_hand_only else self.state.labels.copy()
+        return self.apply_completion(brushes.complete(self.mesh, self.surface, seeds, len(self.part_names)))
+
+    def apply_completion(self, faces: Int[np.ndarray, " F"]) -> bool:
+        """Paint a completed painting (F,) as one item of the history; True when it changed something."""
         change = np.flatnonzero(faces != self.state.labels)
         self.state.stroke("complete", "complete", change, faces[change])
         return len(change) > 0
+
+    def strokes_only(self) -> Int[np.ndarray, " F"]:
+        """Labels (F,) without what earlier completing filled in."""
+        seeds = self.state.labels.copy()
+        seeds[~self._by_hand()] = UNLABELLED
+        return seeds
 
     def _by_hand(self) -> np.ndarray:
         """Faces whose paint came from a stroke (or was there before), not from completing."""

@@ -105,3 +105,31 @@ def test_parts_are_hidden_and_shown_by_keys(painting, qtbot):  # noqa: F811
     painting.key(Qt.Key.Key_H, SHIFT | Qt.KeyboardModifier.ControlModifier)
     assert painting.painter.hidden == frozenset()
     assert len(painting.view.shown.views[0].layers[0].triangles) == count
+
+
+def test_a_large_painting_is_completed_beside_the_hand(painting, qtbot, monkeypatch):  # noqa: F811
+    from shapeforge.viewer import completing
+
+    monkeypatch.setattr(completing, "AT_ONCE", 0)
+    seen = painting.visible()
+    height = painting.painter.surface.centres[seen, 1]
+    painting.session.tool = "scribble"
+    painting.click(int(seen[height.argmax()]))
+    assert (painting.labels < 0).any()
+    painting.session.part = 2
+    painting.click(int(seen[height.argmin()]))
+    assert painting.place.completion.busy and "filling" in painting.place.tool_hint.text()
+    # A further stroke before it is there: that one counts, too.
+    painting.session.part = 1
+    third = int(seen[np.argsort(height)[len(seen) // 2]])
+    painting.click(third)
+    qtbot.waitUntil(lambda: not painting.place.completion.busy, timeout=60000)
+    assert set(np.unique(painting.labels).tolist()) == {0, 1, 2} and painting.labels[third] == 1
+    assert painting.painter.state.strokes[-1].tool == "complete"
+    wanted = painting.painter.strokes_only()
+    from shapeforge.viewer import brushes
+
+    at_once = brushes.complete(painting.painter.mesh, painting.painter.surface, wanted, 3)
+    assert np.array_equal(painting.labels, at_once)
+    painting.session.undo()
+    assert (painting.labels < 0).any()

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from PySide6.QtCore import Qt, QTimer
+from PySide6.QtCore import QObject, Qt, QTimer, Signal
 from PySide6.QtGui import QPixmap
 from PySide6.QtWidgets import QApplication, QWidget
 
 from shapeforge.viewer import brushes
 from shapeforge.viewer.actions import YES, Action, Actions, next_to_paint, unpainted_exemplars
+from shapeforge.viewer.completing import Completion
 from shapeforge.viewer.display import Display
 from shapeforge.viewer.painter import BRUSH_LIMITS, TOOL_NAMES, Painter
 from shapeforge.viewer.palette import label_colours
@@ -43,6 +44,14 @@ from shapeforge.viewer.session import Session
 
 SAVE_MS = 700
 COUNT_MS = 120
+LONGEST_WAIT = 5.0
+"""Seconds that a closing window waits for a painting that is being completed."""
+
+
+class Mail(QObject):
+    """Carries "it is completed" from the thread to the window's."""
+
+    arrived = Signal()
 
 
 class PaintPlace:
@@ -61,6 +70,9 @@ class PaintPlace:
         self._old_history = session.history
         self._add_actions()
         self._build()
+        self._mail = Mail(self.centre)
+        self._mail.arrived.connect(self._completed)
+        self.completion = Completion(self.painter, self._mail.arrived.emit)
         self._save_timer = QTimer(self.centre, singleShot=True, interval=SAVE_MS)
         self._save_timer.timeout.connect(self._save_between_strokes)
         self._count_timer = QTimer(self.centre, singleShot=True, interval=COUNT_MS)
@@ -206,6 +218,8 @@ class PaintPlace:
 
     def close(self) -> None:
         """The window closes."""
+        self.completion.on_result = lambda: None  # whoever closes hears nothing more of it
+        self.completion.join(LONGEST_WAIT)
         self._save()
         self._save_timer.stop()
         self._count_timer.stop()
@@ -217,6 +231,7 @@ class PaintPlace:
         if not self._entered or name is None or self.session.project is None:
             return
         self._save()
+        self.completion.forget()
         self.painter.open(name)
         self.painter.state.changed = self._changed
         self.session.history = self.painter.state
@@ -245,8 +260,14 @@ class PaintPlace:
 
     def _stroke_ended(self) -> None:
         if self.session.tool == "scribble" and len(np.unique(self.painter.state.labels)) > 2:
-            self.painter.complete(by_hand_only=True)
+            self.completion.ask()
+            self._show_tool()
         self._ended()
+
+    def _completed(self) -> None:
+        if self.completion.take():
+            self._ended()
+        self._show_tool()
 
     def _ended(self) -> None:
         self.session.edit_count += 1
@@ -368,7 +389,9 @@ class PaintPlace:
             "fill": f"click paints {part} up to {stop} · Ctrl erases · Alt turns the view",
             "piece": f"click paints the whole loose piece {part} · Ctrl erases · Alt turns the view",
             "lasso": f"drag around what is {part}, {depth} · Ctrl erases · T changes · Alt turns the view",
-            "scribble": f"one stroke on each part, now {part}; the rest is filled in",
+            "scribble": "filling in the rest…"
+            if self.completion.busy
+            else f"one stroke on each part, now {part}; the rest is filled in",
             "eyedropper": "click takes the part under the pointer",
         }[session.tool]
         self.tool_hint.setText(how)
