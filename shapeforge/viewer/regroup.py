@@ -174,6 +174,23 @@ def merge_into(session: Session, g: int) -> None:
     session.say(f"{before.names[gone]} is part of {called} now", "ok")
 
 
+def can_leave_group(session: Session) -> Verdict:
+    """There is another group left when the current one goes."""
+    can, why = _can_change(session, shapes=False)
+    if not can:
+        return can, why
+    return YES if len(groups_of(session)) > 1 else (False, "It is the only group: nothing would be left to fit.")
+
+
+def leave_group_out(session: Session) -> None:
+    """Leave out all shapes of the current group, its exemplar too: the group is gone."""
+    before, g = groups_of(session), session.group
+    group = np.where(before.group == g, -1, before.group)
+    after = tidied(dataclasses.replace(before, group=group))
+    _change_groups(session, f"leave out {before.names[g]}", before, after)
+    session.say(f"{before.names[g]} is left out. Its shapes can be put back one by one.", "ok")
+
+
 def can_split(session: Session) -> Verdict:
     """The current group has at least two shapes."""
     can, why = _can_change(session, shapes=False)

@@ -250,3 +250,30 @@ def test_escape_gives_up_choosing_and_then_the_selection(window, place, qtbot):
     qtbot.mouseClick(place.map, LEFT, pos=QPoint(*(spot(place, other).toTuple())))
     qtbot.keyClick(place.map, Qt.Key.Key_Escape)
     assert window.session.shape is None and window.session.selected == ()
+
+
+def test_a_whole_group_is_left_out_with_its_exemplar(window, place, qtbot):
+    project = place.session.project
+    if len(project.groups) < 2:
+        window.actions_table.run("split_group")
+    before = project.groups
+    g, exemplar, _ = two_of_a_group(project)
+    qtbot.mouseClick(place.group_rows[g], LEFT)
+    qtbot.keyClick(place.map, Qt.Key.Key_L, Qt.KeyboardModifier.ShiftModifier)
+    assert len(project.groups) == len(before) - 1 and before.names[g] not in project.groups.names
+    assert project.groups.group[project.names.index(exemplar)] == -1
+    assert exemplar not in place.strip.card_of
+    while len(project.groups) > 1:
+        window.actions_table.run("leave_group")
+    assert not window.actions_table.verdict("leave_group")[0]
+    while window.session.history.undo_label:
+        window.session.undo()
+    assert set(before.names) <= {*project.groups.names, "Group 1", "Group 2"}
+
+
+def test_no_key_means_two_things_in_a_place(open_window, grouped):
+    window = open_window(grouped, "paint")
+    window.place("collection")
+    for name in ("collection", "paint"):
+        keys = [a.shortcut for a in window.actions_table.values() if a.place in (None, name) and a.shortcut]
+        assert sorted(keys) == sorted(set(keys)), name

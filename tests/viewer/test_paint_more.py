@@ -133,3 +133,21 @@ def test_a_large_painting_is_completed_beside_the_hand(painting, qtbot, monkeypa
     assert np.array_equal(painting.labels, at_once)
     painting.session.undo()
     assert (painting.labels < 0).any()
+
+
+def test_parts_are_made_and_renamed_by_keys(painting, qtbot):  # noqa: F811
+    painting.key(Qt.Key.Key_N, SHIFT)
+    assert painting.painter.part_names[-1] == "part 1" and painting.session.part == 3
+    editor = painting.place.parts.rows[-1].editor
+    qtbot.waitUntil(editor.hasFocus)
+    qtbot.keyClicks(editor, "foot")
+    qtbot.keyClick(editor, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: painting.painter.part_names[-1] == "foot")
+    qtbot.wait(30)
+    painting.key(Qt.Key.Key_1)
+    painting.key(Qt.Key.Key_F2)
+    editor = painting.place.parts.rows[0].editor
+    qtbot.waitUntil(editor.hasFocus)
+    qtbot.keyClicks(editor, "lean")
+    qtbot.keyClick(editor, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: painting.painter.part_names[0] == "lean")

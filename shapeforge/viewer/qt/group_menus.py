@@ -16,7 +16,7 @@ from shapeforge.viewer.session import Session
 _SHAPE_MENU = (
     "look_at", "turn_shape", None, "make_exemplar", "move_shapes", "make_group", "leave_out",
 )  # fmt: skip
-_GROUP_MENU = ("rename_group", "merge_group", "split_group")
+_GROUP_MENU = ("rename_group", "merge_group", "split_group", "leave_group")
 
 
 class GroupMenus:
@@ -40,6 +40,8 @@ class GroupMenus:
             regroup.can_merge, "M", "Let all of this group belong to another one", "overlay")  # fmt: skip
         add("split_group", "Split in two", regroup.split, regroup.can_split, "S",
             "Cut this group in two: what is like its exemplar, and the rest", "swap")  # fmt: skip
+        add("leave_group", "Leave the group out", regroup.leave_group_out, regroup.can_leave_group, "Shift+L",
+            "Leave out all of this group: it is neither painted nor fitted", "eye_off")  # fmt: skip
         add("turn_shape", "Turn…", turning.begin, turning.can_turn, "O",
             "Put the selected shapes upright, facing as the others do", "rotate")  # fmt: skip
         for axis, words in enumerate(("forward", "about the vertical", "sideways")):

@@ -106,6 +106,9 @@ class PaintPlace:
         add("isolate", "Isolate", self._toggle_isolate, "H", "Show only the current part and what is unpainted", "eye")
         add("hide_part", "Hide the part", lambda: self._hide(self.session.part), "Shift+H",
             "Hide the current part, or show it again", "eye_off", self._can_hide)  # fmt: skip
+        add("new_part", "New part", lambda: self.parts.new_part(), "Shift+N", "Add a part to the family", "plus")
+        add("rename_part", "Rename the part", lambda: self.parts.rows[self.session.part].rename(), "F2",
+            "Give the current part another name", "", self._can_hide)  # fmt: skip
         add("show_all_parts", "Show all parts", self._show_all_parts, "Ctrl+Shift+H", "Open every part's eye", "",
             self._can_show_all)  # fmt: skip
         add("reach", "Surface or through", lambda: self._toggle("reach", "surface", "through"), "T",
@@ -446,9 +449,10 @@ class PaintPlace:
         left = [name for name in unpainted_exemplars(session) if name != self.painter.name or not self._has_paint()]
         if left:
             few = len(left) == 1
+            what, them = (left[0], "it") if few else (f"{len(left)} exemplars", "them")
             return False, (
-                f"{left[0] if few else f'{len(left)} exemplars'} {'is' if few else 'are'} still unpainted. "
-                f"Paint {'it' if few else 'them'}, or leave {'its group' if few else 'their groups'} out in Collection."
+                f"{what} {'is' if few else 'are'} still unpainted. Paint {them}, or leave "
+                f"{'its group' if few else 'their groups'} out in Collection (Shift+L)."
             )
         if not session.project.labelled and not self._has_paint():
             return False, "Paint at least one shape first."
