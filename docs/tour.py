@@ -307,7 +307,7 @@ class Tour:
         """Empty, busy and failed states."""
         fresh = make_fresh(self.scratch / "fresh")
         for theme in ("dark", "light"):
-            for state in ("start", "problems", "unpainted", "busy", "random", "grid", "landmarks"):
+            for state in ("start", "problems", "unpainted", "busy", "random", "grid", "landmarks", "large", "turning"):
                 if only in (name := f"{state}-{theme}"):
                     getattr(self, state)(fresh if state in ("problems", "unpainted") else project, theme)
                     self.picture(name)
@@ -352,6 +352,23 @@ class Tour:
         self.click(self.window.places["collection"].mode.button("grid"))
         self.collection()
 
+    def large(self, project: Path, theme: str) -> None:
+        """Five shapes side by side."""
+        self.open(project, theme, SMALL)
+        self.window.session.selected = self.window.session.project.names[:5]
+        self.key("3")
+        self.settled(self.window.places["collection"].large.view)
+
+    def turning(self, project: Path, theme: str) -> None:
+        """A shape that lies on its back, with the rings that turn it; the exemplar beside it."""
+        self.open(project, theme, SMALL)
+        session = self.window.session
+        exemplars = session.project.groups.exemplars
+        session.shape = next(name for t, name in enumerate(session.project.names) if t not in exemplars)
+        self.key("O")
+        self.window.actions_table.run("turn_x")
+        self.settled(self.window.places["collection"].large.view)
+
     def landmarks(self, project: Path, theme: str) -> None:
         """Two landmarks kept, two shapes laid over each other."""
         self.open(project, theme, SMALL)
@@ -381,6 +398,7 @@ def main() -> int:
     os.environ.setdefault("QT_QPA_PLATFORM", "xcb")
     os.environ.setdefault("QT_API", "pyside6")
     scratch = Path(tempfile.mkdtemp(prefix="shapeforge-tour-"))
+    os.environ["SHAPEFORGE_CONFIG"] = str(scratch / "settings")  # the user's list of projects is none of its business
     try:
         project = make_project((given.project or scratch).absolute())
         tour = Tour(given.out, scratch, given.all)

@@ -277,3 +277,15 @@ def test_no_key_means_two_things_in_a_place(open_window, grouped):
     for name in ("collection", "paint"):
         keys = [a.shortcut for a in window.actions_table.values() if a.place in (None, name) and a.shortcut]
         assert sorted(keys) == sorted(set(keys)), name
+
+
+def test_the_map_comes_by_itself_when_there_are_groups(open_window, grouped):
+    groups = grouped.groups
+    grouped._metadata["groups"] = None
+    window = open_window(grouped)
+    place = window.places["collection"]
+    assert place.mode.button("grid").isChecked() and not place.mode.button("map").isEnabled()
+    grouped._metadata["groups"] = "known"
+    assert grouped.groups is not None and len(groups)
+    window.session.touch("groups")
+    assert place.mode.button("map").isChecked() and not place.map.rows

@@ -199,11 +199,10 @@ class CollectionPlace:
             return
         project, groups = self.session.project, groups_of(self.session)
         names = project.names
-        if groups is None and self.session.arrangement == "map":
-            self.session.arrangement = "grid"
-            return
-        self.mode.set_value(self.session.arrangement)
-        rows = self.session.arrangement == "grid"
+        # Without groups there is no map; it comes by itself when they are there.
+        arranged = "grid" if groups is None and self.session.arrangement == "map" else self.session.arrangement
+        self.mode.set_value(arranged)
+        rows = arranged == "grid"
         if groups is None:
             content = MapContent(names, np.zeros(len(names), int))
         else:
@@ -234,6 +233,8 @@ class CollectionPlace:
         groups = groups_of(self.session)
         if self.choosing:
             self.hint.setText(HINTS["choose"].format(group=groups.names[self.session.group]))
+        elif self.session.running and not self.session.project.names:
+            self.hint.setText("The shapes appear here when all of them are read.")
         elif groups is None and not self.session.project.names:
             self.hint.setText("No shapes yet: import some, or drop them here.")
         else:
@@ -359,6 +360,7 @@ class CollectionPlace:
     def _show_progress(self) -> None:
         if self._here():
             self.strip.show_progress()
+            self._show_hint()
 
     # -- what the user does ----------------------------------------------------------------------------------------
 
