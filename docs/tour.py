@@ -31,6 +31,7 @@ IN_DOCS = (
 
 STATES = (
     "start", "problems", "unpainted", "busy", "random", "grid", "landmarks", "unsure", "stale", "failed",
+    "large", "turning",
 )  # fmt: skip
 """What ``--all`` adds."""
 
@@ -357,6 +358,23 @@ class Tour:
         self.click(self.window.places["collection"].mode.button("grid"))
         self.collection()
 
+    def large(self, project: Path, theme: str) -> None:
+        """Five shapes side by side."""
+        self.open(project, theme, SMALL)
+        self.window.session.selected = self.window.session.project.names[:5]
+        self.key("3")
+        self.settled(self.window.places["collection"].large.view)
+
+    def turning(self, project: Path, theme: str) -> None:
+        """A shape that lies on its back, with the rings that turn it; the exemplar beside it."""
+        self.open(project, theme, SMALL)
+        session = self.window.session
+        exemplars = session.project.groups.exemplars
+        session.shape = next(name for t, name in enumerate(session.project.names) if t not in exemplars)
+        self.key("O")
+        self.window.actions_table.run("turn_x")
+        self.settled(self.window.places["collection"].large.view)
+
     def landmarks(self, project: Path, theme: str) -> None:
         """Two landmarks kept, two shapes laid over each other."""
         self.open(project, theme, SMALL)
@@ -418,6 +436,7 @@ def main() -> int:
     os.environ.setdefault("QT_QPA_PLATFORM", "xcb")
     os.environ.setdefault("QT_API", "pyside6")
     scratch = Path(tempfile.mkdtemp(prefix="shapeforge-tour-"))
+    os.environ["SHAPEFORGE_CONFIG"] = str(scratch / "settings")  # the user's list of projects is none of its business
     try:
         project = make_project((given.project or scratch).absolute())
         tour = Tour(given.out, scratch, given.all)

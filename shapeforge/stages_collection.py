@@ -14,7 +14,7 @@ import numpy as np
 
 from shapeforge.collection.labels import LABELS_FILE, PartNames
 from shapeforge.stages import Progress, StageError, Task
-from shapeforge.stages_pose import settle_poses
+from shapeforge.stages_pose import BY_HAND, settle_poses, turned_key
 from shapeforge.stages_status import REVISION, options_of
 from shapeforge.store import Problem, Project, key_of
 from shapeforge.store_arrays import copy_file, read_record, write_record
@@ -27,13 +27,17 @@ SECONDS_BETWEEN_SAVES = 2.0
 
 @dataclass(frozen=True)
 class Reading:
-    """A file to import: the shape's name, where to read it, where it came from, what its result will be filed under."""
+    """A file to import: the shape's name, where to read it, where it came from, what its result will be filed under.
+
+    ``by_hand`` is how the user turned the shape (see ``stages_pose.turn_by_hand``), None where nobody did.
+    """
 
     name: str
     file: Path
     source: Path
     sha256: str
     key: str
+    by_hand: Mapping[str, Any] | None = None
 
 
 # -- import ----------------------------------------------------------------------------------------------------------
@@ -144,14 +148,13 @@ def _plan(task: Task, found: Sequence[tuple[str, Path]]) -> tuple[list[Reading],
             failed.append(Problem(str(source), "error", reason, "Check the path and its permissions"))
             continue
         given.add(name)
-        readings.append(Reading(name, path, source, sha256, _shape_key(sha256, task.options)))
+        readings.append(_reading(task, name, path, source, sha256))
     for name in project.names:
         if name not in given:
             record = project.shape_record(name)
             source, copy = Path(record["source"]), project.mesh_path(name)
-            key = _shape_key(record["sha256"], task.options)
             unchanged = source.is_file() and _digest(source) == record["sha256"]
-            readings.append(Reading(name, source if unchanged else copy, source, record["sha256"], key))
+            readings.append(_reading(task, name, source if unchanged else copy, source, record["sha256"]))
     wanted = []
     for reading in readings:
         known = reading.name in project.names and project.shape_record(reading.name)["key"] == reading.key
@@ -168,8 +171,14 @@ def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _shape_key(sha256: str, options: Mapping[str, Any]) -> str:
-    return key_of(sha256, {name: options[name] for name in ("points", "up", "seed")})
+def _reading(task: Task, name: str, file: Path, source: Path, sha256: str) -> Reading:
+    """What to read, turned as the user turned the same bytes under the same ``up``: what was said last counts."""
+    record = task.project.shape_record(name) if name in task.project.names else {}
+    by_hand = record.get("by_hand")
+    if by_hand is not None and (record["sha256"] != sha256 or by_hand["up"] != task.options["up"]):
+        by_hand = None
+    key = key_of(sha256, {name: task.options[name] for name in ("points", "up", "seed")})
+    return Reading(name, file, source, sha256, key if by_hand is None else turned_key(key, by_hand), by_hand)
 
 
 def _import_one(
@@ -177,7 +186,7 @@ def _import_one(
 ) -> tuple[dict[str, Any] | None, list[Problem], BaseException | None]:
     """Prepare and write one shape; its record, what is odd about it, and the error if it could not be read."""
     from shapeforge.collection.meshes import MeshError, read_mesh, repair_notes
-    from shapeforge.collection.prepare import prepare_shape
+    from shapeforge.collection.prepare import prepare_shape, turned
     from shapeforge.store import ProjectError
 
     source = str(reading.source)
@@ -185,6 +194,8 @@ def _import_one(
         mesh = read_mesh(reading.file)
         rng = np.random.default_rng([int(options["seed"]), int(reading.sha256[:15], 16)])
         shape = prepare_shape(reading.name, mesh, n_points=int(options["points"]), up=options["up"], rng=rng)
+        if reading.by_hand is not None:
+            shape = turned(shape, np.array(reading.by_hand["rotation"]), BY_HAND)
         doubts = list(repair_notes(mesh))
     except MeshError as error:
         return None, [Problem(source, "error", error.problem, error.remedy)], error
@@ -202,8 +213,10 @@ def _import_one(
         "file": str(copy), "source": source, "sha256": reading.sha256, "key": reading.key,
         "modified": stamp.st_mtime_ns if stamp else 0, "size": stamp.st_size if stamp else 0,
         "n_faces": int(mesh.n_faces), "n_triangles": len(mesh.triangles), "notes": list(shape.notes),
-        "pose": "open" if options["up"] == "auto" else "settled",
+        "pose": "open" if options["up"] == "auto" and reading.by_hand is None else "settled",
     }  # fmt: skip
+    if reading.by_hand is not None:
+        record["by_hand"] = dict(reading.by_hand)
     warnings = [Problem(source, "warning", doubt) for doubt in doubts]
     return record, warnings, None
 

@@ -129,22 +129,38 @@ class Actions(Mapping[str, Action]):
 
         self.session.open(Project.open(path))
 
-    def import_shapes(self, paths: tuple[Path, ...]) -> None:
-        """Import mesh files and folders: into the open project, else into a new one beside the first of them."""
+    def offer_import(self, paths: tuple[Path, ...]) -> None:
+        """Show what would be imported, where the desk can; else import it at once."""
+        can, why = self.verdict("import_files")
+        if not can:
+            self.session.say(why, "warning")
+            return
+        preview = getattr(self.desk, "preview_import", None)
+        if preview is None:
+            self.import_shapes(paths)
+        else:
+            preview(paths, lambda chosen, up: self.import_shapes(chosen, beside=paths[0], up=up))
+
+    def import_shapes(self, paths: tuple[Path, ...], *, beside: Path | None = None, up: str | None = None) -> None:
+        """Import mesh files and folders: into the open project, else into a new one ``beside`` the first of them.
+
+        ``up`` as in the import stage; None: as the last import had it.
+        """
         from shapeforge import stages
         from shapeforge.store import Project
 
         project = self.session.project
         if project is None:
-            first = paths[0].resolve()
+            first = (beside or paths[0]).resolve()
             project = Project.open_or_create(
                 free_folder(first.parent, f"{first.stem if first.is_file() else first.name}-project")
             )
             self.session.open(project)
+        options = {} if up is None else {"up": up}
         self.desk.start(
             "import",
             lambda: _one_after_another(
-                stages.run(project, "import", meshes=list(paths)), lambda: stages.run(project, "group")
+                stages.run(project, "import", meshes=list(paths), **options), lambda: stages.run(project, "group")
             ),
         )
 
@@ -200,12 +216,12 @@ def _project_actions(actions: Actions) -> list[Action]:
     def import_files(session: Session) -> None:
         files = desk.choose_files("Import shapes", MESH_ENDINGS)
         if files:
-            actions.import_shapes(files)
+            actions.offer_import(files)
 
     def import_folder(session: Session) -> None:
         folder = desk.choose_folder("Import a folder of models")
         if folder is not None:
-            actions.import_shapes((folder,))
+            actions.offer_import((folder,))
 
     def demo(session: Session) -> None:
         actions.try_demo(free_folder(Path.home(), "shapeforge-demo"))
@@ -324,12 +340,12 @@ def _collection_actions(actions: Actions) -> list[Action]:
         Action("paint_next", "Paint the next exemplar", _paint_next, _can_paint_next, "",
                "Paint the parts of the next exemplar", "right",
                "collection"),
-        Action("look_at", "Look at it", _look_at, _has_shape, "Return", "Open the selected shape in Paint", "eye",
+        Action("look_at", "Paint it", _look_at, _has_shape, "Return", "Open the selected shape in Paint", "paint",
                "collection"),
         Action("make_exemplar", "Make it the exemplar", make_exemplar, can_make_exemplar, "E",
                "The exemplar is the shape you paint for its group", "star", "collection"),
-        Action("leave_out", "Leave it out", leave_out, can_leave_out, "X",
-               "Take the shape out of its group, or put it back",
+        Action("leave_out", "Leave out", leave_out, can_leave_out, "X",
+               "Take the selected shapes out of their groups, or put them back",
                "eye_off", "collection"),
     ]  # fmt: skip
 

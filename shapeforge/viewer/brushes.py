@@ -112,6 +112,35 @@ def up_to_creases(surface: FaceSurface, face: int, angle: float = CREASE) -> Int
     return np.sort(flood(surface.start, surface.neighbour, surface.bend, face, angle))
 
 
+def up_to_patch(surface: FaceSurface, face: int, patch: Int[np.ndarray, " F"]) -> Int[np.ndarray, " n"]:
+    """Faces reached from ``face`` without leaving its patch (F,): where the surface folds inward or grows thick."""
+    row = np.repeat(np.arange(surface.n_faces), np.diff(surface.start))
+    across = np.where(patch[row] == patch[surface.neighbour], 0.0, np.pi)
+    return np.sort(flood(surface.start, surface.neighbour, across, face, 1.0))
+
+
+def patch_of_faces(
+    surface: FaceSurface, points: Float[np.ndarray, "P 3"], patch: Int[np.ndarray, " P"]
+) -> Int[np.ndarray, " F"]:
+    """Patch number (F,) of every face: that of the sample point nearest to its middle."""
+    return np.asarray(patch, np.int64)[cKDTree(points).query(surface.centres)[1]]
+
+
+def mirrored_faces(
+    surface: FaceSurface, faces: Int[np.ndarray, " n"], normal: Float[np.ndarray, " 3"], offset: float
+) -> Int[np.ndarray, " m"]:
+    """Faces opposite ``faces`` across the plane normal . x = offset: those whose own mirror image is near one of them.
+
+    Asked from the far side, so that a coarse half answers a fine one without holes.
+    """
+    if not len(faces):
+        return faces
+    twins = surface.centres - 2 * (surface.centres @ normal - offset)[:, None] * normal
+    distance, nearest = surface.tree.query(twins)
+    reach = FARTHEST_TWIN + 0.75 * np.sqrt(surface.areas[nearest])
+    return np.flatnonzero((distance <= reach) & np.isin(nearest, faces))
+
+
 def whole_piece(surface: FaceSurface, face: int) -> Int[np.ndarray, " n"]:
     """All faces of the connected piece of ``face``."""
     return np.flatnonzero(surface.piece == surface.piece[face])

@@ -64,7 +64,8 @@ class Mark:
 
     ``kind``: "dot" (filled, white rim), "ring" (hollow), "halo" (hollow, accent), "brush" (ring of ``radius`` diagonals
     in the plane with normal ``to``), "twin" (dashed such ring), "line" (dashed, from ``at`` to ``to``), "arrow" (from
-    ``at`` to ``to``), "note" (a word with a pin).
+    ``at`` to ``to``), "note" (a word with a pin), "circle" (such a ring that can be taken hold of: its far half is
+    faint, and thick where ``text`` is "held").
     """
 
     kind: str

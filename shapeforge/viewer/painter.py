@@ -21,7 +21,7 @@ SYMMETRIC = 0.03  # diagonals: a worse mean distance to the mirror image means t
 TOOL_NAMES: dict[str, str] = {
     "brush": "Brush",
     "eraser": "Eraser",
-    "fill": "Fill to creases",
+    "fill": "Fill",
     "piece": "Connected piece",
     "lasso": "Lasso",
     "scribble": "Scribble",
@@ -43,6 +43,7 @@ class Painter:
         self._plane_known = False
         self._saved: np.ndarray | None = None
         self._saved_done = 0
+        self._patches: np.ndarray | None = None
 
     # ---- the shape -----------------------------------------------------------------------------------------------
 
@@ -56,6 +57,7 @@ class Painter:
         self.state = paint_state(self.mesh.n_faces, project.labels(name), project.read_history(name))
         self._saved, self._saved_done = self.state.labels.copy(), self.state.done
         self._plane_known = False
+        self._patches = None
         self.hidden = frozenset()
         self.name = name
         self._drawn: tuple[Any, ...] | None = None
@@ -103,6 +105,14 @@ class Painter:
             self._plane = (np.asarray(normal, float), float(offset), error) if error < SYMMETRIC else None
             self._plane_known = True
         return self._plane
+
+    @property
+    def face_patches(self) -> Int[np.ndarray, " F"]:
+        """Patch number (F,) of every face, found when it is first asked for."""
+        if self._patches is None:
+            points = np.asarray(self.shape.points, float)
+            self._patches = brushes.patch_of_faces(self.surface, points, self.shape.patch)
+        return self._patches
 
     # ---- parts ---------------------------------------------------------------------------------------------------
 
@@ -175,6 +185,13 @@ class Painter:
             faces = np.union1d(faces, self._touched(twin[0], twin[1], tool))
         return faces[~self._is_hidden(faces)]
 
+    def with_twins(self, faces: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m"]:
+        """The faces and, where mirroring is on, those opposite; hidden ones are left out."""
+        if self.session.mirror and self.mirror_plane is not None:
+            normal, offset, _ = self.mirror_plane
+            faces = np.union1d(faces, brushes.mirrored_faces(self.surface, faces, normal, offset))
+        return faces[~self._is_hidden(faces)]
+
     def twin(self, position: Float[np.ndarray, " 3"]) -> tuple[int, Float[np.ndarray, " 3"]] | None:
         """Face and place opposite ``position``; None without mirroring or where there is nothing."""
         if not self.session.mirror or self.mirror_plane is None:
@@ -183,6 +200,8 @@ class Painter:
         return brushes.mirrored(self.surface, position, normal, offset)
 
     def _touched(self, face: int, position: np.ndarray, tool: str) -> np.ndarray:
+        if tool == "fill" and self.session.fill_to == "patch":
+            return brushes.up_to_patch(self.surface, face, self.face_patches)
         if tool == "fill":
             return brushes.up_to_creases(self.surface, face)
         if tool == "piece":
@@ -225,13 +244,20 @@ class Painter:
 
     def complete(self, *, by_hand_only: bool = False) -> bool:
         """Fill in what is unpainted from what is painted (``by_hand_only``: from strokes, redoing earlier fillings)."""
-        seeds = self.state.labels.copy()
-        if by_hand_only:
-            seeds[~self._by_hand()] = UNLABELLED
-        faces = brushes.complete(self.mesh, self.surface, seeds, len(self.part_names))
+        seeds = self.strokes_only() if by_hand_only else self.state.labels.copy()
+        return self.apply_completion(brushes.complete(self.mesh, self.surface, seeds, len(self.part_names)))
+
+    def apply_completion(self, faces: Int[np.ndarray, " F"]) -> bool:
+        """Paint a completed painting (F,) as one item of the history; True when it changed something."""
         change = np.flatnonzero(faces != self.state.labels)
         self.state.stroke("complete", "complete", change, faces[change])
         return len(change) > 0
+
+    def strokes_only(self) -> Int[np.ndarray, " F"]:
+        """Labels (F,) without what earlier completing filled in."""
+        seeds = self.state.labels.copy()
+        seeds[~self._by_hand()] = UNLABELLED
+        return seeds
 
     def _by_hand(self) -> np.ndarray:
         """Faces whose paint came from a stroke (or was there before), not from completing."""

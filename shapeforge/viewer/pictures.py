@@ -174,7 +174,7 @@ def shape_picture(
     width, height = (size, size) if isinstance(size, int) else size
     digest = hashlib.sha256()
     digest.update(repr((LOOK_VERSION, name, width, height, theme, colour, transparent, n_parts)).encode())
-    digest.update(repr(_import_key(project)).encode())
+    digest.update(repr(_shape_key(project, name)).encode())
     if labels is not None:
         digest.update(np.ascontiguousarray(labels, np.int32).tobytes())
     file = Path(project.path) / "thumbs" / f"{digest.hexdigest()[:24]}.png"
@@ -191,11 +191,12 @@ def shape_picture(
     return picture
 
 
-def _import_key(project: Any) -> Any:
-    """What changes when the project's shapes are imported anew."""
+def _shape_key(project: Any, name: str) -> Any:
+    """What changes when the shape is imported anew or turned."""
     records = getattr(project, "stage_records", None)
     record = records.get("import") if isinstance(records, dict) else None
-    return record.get("key") if isinstance(record, dict) else None
+    own = project.shape_record(name) if hasattr(project, "shape_record") else {}
+    return (record.get("key") if isinstance(record, dict) else None, own.get("key"))
 
 
 def _read(file: Path, shape: tuple[int, int, int]) -> np.ndarray | None:

@@ -79,11 +79,14 @@ class Edits:
 class Session:
     """State of the window; every assignment that changes a field emits ``events.<field>(new, old)``.
 
-    ``part`` is the part painted with (index), ``brush_size`` a radius in diagonals, ``watched`` the shapes seen during
-    a fit, ``quality`` how well the next fit is done (a key of ``readiness.QUALITIES``; "": as the one before),
-    ``round`` the recorded round looked at (None: the newest), ``compare`` the shapes compared, ``picked`` a template
-    point (index), ``sliders`` direction index -> value (standard deviations), ``parts_on`` part index ->
-    existence asked of a draw.  Assign new tuples and dicts; changing a dict in place tells nobody.
+    ``group`` is the group looked at (index), ``part`` the part painted with (index), ``brush_size`` a radius in
+    diagonals, ``fill_to`` where the fill tool stops ("creases" or "patch"), ``watched`` the shapes seen during a fit,
+    ``quality`` how well the next fit is done (a key of ``readiness.QUALITIES``; "": as the one before), ``round`` the
+    recorded round looked at (None: the newest), ``compare`` the shapes compared, ``picked`` a template point (index),
+    ``sliders`` direction index -> value (standard deviations), ``parts_on`` part index -> existence asked of a draw,
+    ``arrangement`` how the collection is seen ("map", "grid" or "large"), ``turn`` the rotation (rows) by which the
+    selected shapes are being turned, None while none is.  Assign new tuples and dicts; changing a dict in place tells
+    nobody.
     """
 
     # Compared by identity: comparing their arrays would be slow and ambiguous.
@@ -96,13 +99,17 @@ class Session:
     project: Any = None
     place: str = "collection"
     shape: str | None = None
+    group: int = 0
     part: int = 0
     tool: str = "brush"
     brush_size: float = 0.034
     reach: str = "surface"
+    fill_to: str = "creases"
     mirror: bool = False
     theme: str = "dark"
     colour_by: str = "group"
+    arrangement: str = "map"
+    turn: tuple[tuple[float, ...], ...] | None = None
     watched: tuple[str, ...] = ()
     round: int | None = None
     compare: tuple[str, ...] = ()
@@ -137,10 +144,11 @@ class Session:
 
     def open(self, project: Any) -> None:
         """Look at another project (None: none): selections of the old one are dropped first."""
-        self.shape, self.selected, self.watched, self.compare = None, (), (), ()
+        self.shape, self.group, self.selected, self.watched, self.compare = None, 0, (), (), ()
         self.round, self.picked, self.sliders, self.parts_on = None, None, {}, {}
         self.quality = ""
         self.progress, self.history, self.place = None, Edits(), "collection"
+        self.turn = None
         self.revision += 1
         self.project = project
         self.say("" if project is None else f"Opened {getattr(project, 'name', Path(project.path).name)}")

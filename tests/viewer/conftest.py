@@ -17,6 +17,12 @@ from shapeforge.store import Project
 COUNT, POINTS, ROUNDS = 8, 300, 2
 
 
+@pytest.fixture(autouse=True)
+def _own_settings(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the program remembers between starts is not the user's in a test."""
+    monkeypatch.setenv("SHAPEFORGE_CONFIG", str(tmp_path_factory.mktemp("settings")))
+
+
 def run_stage(project: Project, stage: str, **options: object) -> None:
     for _ in stages.run(project, stage, jobs=1, **options):
         pass

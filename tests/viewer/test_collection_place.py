@@ -15,7 +15,8 @@ from shapeforge import stages
 from shapeforge.store import Project
 from shapeforge.viewer.layout import GAP, HULL_MARGIN, hull, place_by_likeness, place_in_rows
 from shapeforge.viewer.palette import GROUPS, rgb
-from shapeforge.viewer.qt.collection_panel import CollectionPlace, typical_text
+from shapeforge.viewer.qt.collection_panel import CollectionPlace
+from shapeforge.viewer.qt.collection_words import hover_card, typical_text
 from shapeforge.viewer.qt.widgets import Clickable, EditableName
 from tests.viewer.conftest import paint_exemplars
 
@@ -249,9 +250,9 @@ def test_x_leaves_the_selected_shape_out(window, place, qtbot):
 def test_the_hover_card_says_what_it_is(place):
     project = place.session.project
     _, exemplar, other = two_of_a_group(project)
-    card = place._about(other)
+    card = hover_card(place.session, other)
     assert other in card and "faces" in card and "from its exemplar" in card
-    assert "the exemplar" in place._about(exemplar)
+    assert "the exemplar" in hover_card(place.session, exemplar)
 
 
 def test_groups_are_listed_with_their_numbers(place, qtbot):
@@ -342,7 +343,7 @@ def test_a_group_keeps_its_name_on_escape_and_without_a_name(open_window, fitted
     place.map.setFocus()
     for key in (Qt.Key.Key_Escape, Qt.Key.Key_Return):
         qtbot.keyClick(place.map, Qt.Key.Key_F2)
-        editor = place.group_rows[place.group].findChild(EditableName).editor
+        editor = place.group_rows[place.session.group].findChild(EditableName).editor
         qtbot.waitUntil(editor.hasFocus)
         editor.setText("another" if key == Qt.Key.Key_Escape else "  ")
         qtbot.keyClick(editor, key)

@@ -74,6 +74,8 @@ def test_dropped_models_are_imported_and_grouped(open_window, qtbot, meshes, tmp
         (models / f"chair_{number}.obj").write_bytes((meshes / f"chair_000{number}.obj").read_bytes())
     window = open_window()
     drop(window, models)
+    qtbot.waitUntil(window.import_dialog.start.isEnabled, timeout=60000)
+    qtbot.mouseClick(window.import_dialog.start, LEFT)
     assert window.session.running and window.session.stage == "import"
     assert window.rail.places["collection"].mark == "running"
     qtbot.waitUntil(lambda: not window.session.running, timeout=120000)

@@ -49,7 +49,19 @@ class Binding:
 
 
 # What may change whether an action can be done.
-ENABLING = ("project", "shape", "place", "running", "is_paused", "edit_count", "history", "data")
+ENABLING = (
+    "project",
+    "shape",
+    "selected",
+    "group",
+    "turn",
+    "place",
+    "running",
+    "is_paused",
+    "edit_count",
+    "history",
+    "data",
+)
 
 
 def tooltip_of(actions: Actions, name: str) -> str:

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from html import escape
 
 import numpy as np
-from PySide6.QtCore import Qt, QTimer
+from PySide6.QtCore import QPoint, Qt, QTimer
 from PySide6.QtGui import QPixmap
-from PySide6.QtWidgets import QWidget
+from PySide6.QtWidgets import QStackedWidget, QWidget
 
-from shapeforge.viewer.actions import (
-    YES,
-    Action,
-    Actions,
-    group_of,
-    groups_of,
-)
+from shapeforge.viewer.actions import Actions, group_of, groups_of
 from shapeforge.viewer.palette import rgb
-from shapeforge.viewer.qt.bind import Binding, action_button
-from shapeforge.viewer.qt.collection_parts import MAP_PICTURE, CollectionStrip, ProblemList
+from shapeforge.viewer.qt.bind import Binding, action_button, keep_enabled
+from shapeforge.viewer.qt.collection_parts import MAP_PICTURE, CollectionStrip, ProblemList, SelectionSection
+from shapeforge.viewer.qt.collection_words import hover_card, typical_text
 from shapeforge.viewer.qt.group_map import GroupMap, MapContent, group_colour
-from shapeforge.viewer.qt.icons import set_icon
+from shapeforge.viewer.qt.group_menus import GroupMenus
+from shapeforge.viewer.qt.icons import refresh, set_icon
+from shapeforge.viewer.qt.large_view import LargeView
 from shapeforge.viewer.qt.theme import PADDING
 from shapeforge.viewer.qt.thumbnails import Thumbnails
 from shapeforge.viewer.qt.widgets import (
@@ -43,13 +39,13 @@ from shapeforge.viewer.qt.widgets import (
     separator,
 )
 from shapeforge.viewer.readiness import needs_rest
-from shapeforge.viewer.regroup import can_make_exemplar, rename_group
+from shapeforge.viewer.regroup import can_make_exemplar, chosen_shapes, rename_group
 from shapeforge.viewer.session import Session
 
 PREVIEW = (280, 184)
 PREVIEW_WORDS = 30
 HINTS = {
-    "map": "Near means similar. Wheel zooms, drag pans, Shift-drag selects, Home shows all.",
+    "map": "Near means similar. Wheel zooms, drag pans, Shift-drag selects, right click changes, Home shows all.",
     "grid": "Group by group. Wheel scrolls, Shift-drag selects.",
     "choose": "Click the shape that should stand for {group}; Esc leaves it as it is.",
 }
@@ -62,13 +58,11 @@ class CollectionPlace:
         self.session, self.actions = session, actions
         self.binding = Binding(session)
         self.pictures = Thumbnails(session)
-        self.group = 0
-        actions.add(
-            Action("rename_group", "Rename the group", lambda _session: self._rename_current(), self._can_rename, "F2",
-                   "Give the selected group a name of your own", "", "collection")
-        )  # fmt: skip
+        self.menus = GroupMenus(session, actions, self._rename_current, self._leave_it)
         self.choosing = False
-        self.map = GroupMap(self._map_picture, self._about)
+        self._view_factory = view_factory
+        self.large: LargeView | None = None
+        self.map = GroupMap(self._map_picture, lambda name: hover_card(session, name))
         self.toolbar_widget = self._make_tools()
         self.centre = self._make_centre()
         self.inspector = self._make_inspector()
@@ -79,12 +73,15 @@ class CollectionPlace:
         self.map.lassoed.connect(self._select)
         self.map.opened.connect(self._open)
         self.map.group_clicked.connect(self._show_group)
+        self.map.menu_wanted.connect(self._open_menu)
+        self.menus.owner = self.map
         self.pictures.setParent(self.centre)
         self.pictures.arrived.connect(self._pictures_changed)
         self.binding.on(("project", "data", "colour_by"), self._show_all, now=False)
         self.binding.on(("theme",), self._show_all, now=False)
-        self.binding.on(("shape", "selected"), self._show_selection, now=False)
-        self.binding.on(("running", "progress", "status"), self._show_progress, now=False)
+        self.binding.on(("shape", "selected", "group"), self._show_selection, now=False)
+        self.binding.on(("arrangement", "turn"), self._show_map, now=False)
+        self.binding.on(("running", "progress", "status", "turn"), self._show_progress, now=False)
 
     def enter(self) -> None:
         """Show the project as it is now."""
@@ -94,6 +91,7 @@ class CollectionPlace:
     def leave(self) -> None:
         """Pictures that are still to be taken can wait."""
         self._choose(False)
+        self.session.turn = None
         self.pictures.forget()
 
     def close(self) -> None:
@@ -104,9 +102,11 @@ class CollectionPlace:
     # -- making ----------------------------------------------------------------------------------------------------
 
     def _make_tools(self) -> QWidget:
-        self.mode = Segments([("map", "Map", "map"), ("grid", "Grid", "grid")], "map")
-        self.mode.chosen.connect(lambda _: self._show_map())
-        self.colour_choice = Choice("Colour by", [], "group")
+        self.mode = Segments([("map", "Map", "map"), ("grid", "Grid", "grid"), ("large", "Large", "cube")], "map")
+        self.mode.chosen.connect(lambda value: self.actions.run(f"show_{value}"))
+        for value in ("map", "grid", "large"):
+            keep_enabled(self.mode.button(value), self.actions, f"show_{value}", self.binding)
+        self.colour_choice = Choice("Colour by", [], "group", tooltip="What the colours of the shapes mean")
         self.colour_choice.chosen.connect(lambda value: setattr(self.session, "colour_by", value))
         self.lasso = button(icon="lasso", kind="tool", checkable=True, tooltip="Drag selects (also: Shift and drag)")
         self.lasso.toggled.connect(lambda on: setattr(self.map, "lasso_always", on))
@@ -120,7 +120,9 @@ class CollectionPlace:
         foot = framed(row(self.hint, None, self.count, margins=(PADDING, 0, PADDING, 6)), "view_foot", height=28)
         box = column(self.map, foot, spacing=0)
         box.setStretch(0, 1)
-        result = framed(box, "centre")
+        self.pages = QStackedWidget()
+        self.pages.addWidget(framed(box))
+        result = framed(row(self.pages, spacing=0), "centre")
         result.setFocusProxy(self.map)
         return result
 
@@ -128,9 +130,22 @@ class CollectionPlace:
         self.group_count = label("", "off")
         self.group_again = action_button(self.actions, "group", self.binding, text="", kind="icon")
         set_icon(self.group_again, "rotate")
+        self.group_more = button(icon="more", kind="icon", tooltip="Rename, merge or split the selected group")
+        self.group_more.setAccessibleName("Change the selected group")
+        self.group_more.clicked.connect(
+            lambda: self.menus.group_menu(self.group_more.mapToGlobal(self.group_more.rect().bottomLeft()))
+        )
         self.group_list = column(spacing=2)
         groups = column(
-            row(label("Groups", "heading"), self.group_count, None, self.group_again, margins=(PADDING, 0, 10, 4)),
+            row(
+                label("Groups", "heading"),
+                self.group_count,
+                None,
+                self.group_again,
+                self.group_more,
+                spacing=4,
+                margins=(PADDING, 0, 10, 4),
+            ),
             column(self.group_list, margins=(8, 0, 8, 0)),
             spacing=0,
             margins=(0, 8, 0, 12),
@@ -149,8 +164,10 @@ class CollectionPlace:
         self.exemplar_section = section(
             row(self.exemplar_title, None, self.typical), framed(row(self.preview), "preview"), self.choose_button
         )
+        self.selection = SelectionSection(self.session, self.actions, self.binding)
         self.problems = ProblemList(self.session)
-        return scrolled(holder, self.exemplar_section, self.problems)
+        self.problems.fix_wanted.connect(self._fix)
+        return scrolled(holder, self.exemplar_section, self.selection, self.problems)
 
     # -- showing ---------------------------------------------------------------------------------------------------
 
@@ -160,8 +177,6 @@ class CollectionPlace:
     def _show_all(self) -> None:
         if not self._here():
             return
-        groups = groups_of(self.session)
-        self.group = min(max(self.group, 0), max(len(groups) - 1, 0)) if groups is not None else 0
         self._show_colours()
         self._show_map()
         self._show_groups()
@@ -184,20 +199,42 @@ class CollectionPlace:
             return
         project, groups = self.session.project, groups_of(self.session)
         names = project.names
-        rows = self.mode.button("grid").isChecked()
+        # Without groups there is no map; it comes by itself when they are there.
+        arranged = "grid" if groups is None and self.session.arrangement == "map" else self.session.arrangement
+        self.mode.set_value(arranged)
+        rows = arranged == "grid"
         if groups is None:
             content = MapContent(names, np.zeros(len(names), int))
         else:
             content = MapContent(names, groups.group, groups.exemplars, groups.embedding, groups.names, grouped=True)
+        if self.session.arrangement == "large":
+            self.map.set_content(content)
+            self._show_large()
+            return
         self.map.set_content(content, rows=rows)
-        self.mode.button("map").setEnabled(groups is not None)
-        self.mode.button("map").setToolTip("" if groups is not None else "Group the shapes first.")
+        if self.pages.currentIndex() != 0:
+            self.pages.setCurrentIndex(0)
+            self.centre.setFocusProxy(self.map)
+            self.map.setFocus()
         self._show_hint()
+
+    def _show_large(self) -> None:
+        if self.large is None:  # its 3-D view is made when it is first wanted
+            self.large = LargeView(self.session, self.actions, self.binding, self._view_factory)
+            refresh(self.large, self.session.theme)
+            self.pages.addWidget(self.large)
+        if self.pages.currentIndex() != 1:
+            self.pages.setCurrentIndex(1)
+            self.centre.setFocusProxy(self.large)
+            self.large.view.setFocus()
+        self.large.show_now()
 
     def _show_hint(self) -> None:
         groups = groups_of(self.session)
         if self.choosing:
-            self.hint.setText(HINTS["choose"].format(group=groups.names[self.group]))
+            self.hint.setText(HINTS["choose"].format(group=groups.names[self.session.group]))
+        elif self.session.running and not self.session.project.names:
+            self.hint.setText("The shapes appear here when all of them are read.")
         elif groups is None and not self.session.project.names:
             self.hint.setText("No shapes yet: import some, or drop them here.")
         else:
@@ -213,22 +250,6 @@ class CollectionPlace:
         if groups is not None and by == "group":
             colour = rgb(group_colour(g, len(groups)))
         return self.pictures.shape(name, MAP_PICTURE, colour=colour)
-
-    def _about(self, name: str) -> str:
-        """The hover card of a shape."""
-        project, groups = self.session.project, groups_of(self.session)
-        record = project.shape_record(name)
-        g = group_of(self.session, name)
-        group = f" · {groups.names[g]}" if g >= 0 else " · left out" if groups is not None else ""
-        facts = [f"{grouped(record['n_faces'])} faces"]
-        facts += [note for note in record.get("notes", ()) if len(note) < 40][:1]
-        if g >= 0 and groups.dissimilarity is not None:
-            t, e = project.names.index(name), int(groups.exemplars[g])
-            facts.append("the exemplar" if t == e else f"{groups.dissimilarity[t, e]:.2f} from its exemplar")
-        out = "X: put it back" if g < 0 and groups is not None else "X: leave it out"
-        keys = "Enter: look at it" + (f" · {out}" if groups is not None else "")
-        lines = (f"<b>{escape(name)}</b>{escape(group)}", escape(" · ".join(facts)), escape(keys))
-        return f"<div style='white-space: nowrap'>{'<br>'.join(lines)}</div>"
 
     def _show_groups(self) -> None:
         clear(self.group_list)
@@ -255,6 +276,7 @@ class CollectionPlace:
             one = Clickable(line, "row", tooltip=f"Exemplar: {exemplar}. Double-click (or F2) renames the group.")
             one.setFixedHeight(36)
             one.clicked.connect(lambda g=g: self._show_group(g))
+            one.menu_wanted.connect(lambda at, g=g: self._open_menu("", g, at))
             one.double_clicked.connect(lambda called=called: self._start_rename(called))
             self.group_list.addWidget(one)
             self.group_rows.append(one)
@@ -271,37 +293,36 @@ class CollectionPlace:
         # The list is made anew by it: not before the editor has finished with its event.
         QTimer.singleShot(0, self.centre, lambda: rename_group(self.session, g, text))
 
-    def _can_rename(self, session: Session) -> tuple[bool, str]:
-        can, why = needs_rest(session)
-        if not can:
-            return can, why
-        return YES if groups_of(session) is not None else (False, "Group the shapes first.")
-
     def _rename_current(self) -> None:
-        self._start_rename(self.group_rows[self.group].findChild(EditableName))
+        self._start_rename(self.group_rows[self.session.group].findChild(EditableName))
 
     def _show_selection(self) -> None:
         if not self._here():
             return
         session, groups = self.session, groups_of(self.session)
+        if len(getattr(self, "group_rows", ())) != (0 if groups is None else len(groups)):
+            return  # the groups are just being changed: all is shown anew in a moment
         g = group_of(session, session.shape)
         if g >= 0:
-            self.group = g
-        current = self.group if groups is not None else -1
+            session.group = g
+        current = self.session.group if groups is not None else -1
         self.map.set_selection(session.shape, session.selected, current)
         for number, one in enumerate(getattr(self, "group_rows", ())):
             one.set_current(number == current)
         chosen = len(session.selected) or (1 if session.shape else 0)
         self.count.setText(f"{chosen} of {len(session.project.names)} selected" if chosen else "")
         self._show_exemplar()
+        self.selection.show_selection()
         self.strip.show_current()
+        if self.large is not None and session.arrangement == "large":
+            self.large.show_now()
 
     def _show_exemplar(self) -> None:
         groups, project = groups_of(self.session), self.session.project
         self.exemplar_section.setVisible(groups is not None and len(groups) > 0)
         if groups is None or not len(groups):
             return
-        g = self.group
+        g = self.session.group
         exemplar = project.names[groups.exemplars[g]]
         self.exemplar_title.setText(f"Exemplar of {groups.names[g]}")
         self.typical.setText(typical_text(groups, g))
@@ -329,7 +350,7 @@ class CollectionPlace:
         for picture, g in getattr(self, "group_pictures", ()):
             picture.set_pixmap(self._map_picture_of_group(names[groups.exemplars[g]], g, len(groups)))
         self.strip.show_pictures(self.pictures)
-        exemplar = names[groups.exemplars[min(self.group, len(groups) - 1)]]
+        exemplar = names[groups.exemplars[min(self.session.group, len(groups) - 1)]]
         parts = "painted" if self.session.project.label_key(exemplar) else ""
         self.preview.set_pixmap(self.pictures.shape(exemplar, PREVIEW_PIXELS, parts=parts))
 
@@ -339,6 +360,7 @@ class CollectionPlace:
     def _show_progress(self) -> None:
         if self._here():
             self.strip.show_progress()
+            self._show_hint()
 
     # -- what the user does ----------------------------------------------------------------------------------------
 
@@ -365,12 +387,37 @@ class CollectionPlace:
         self.session.shape = name
         self.actions.run("look_at")
 
+    def _leave_it(self) -> None:
+        """Escape: what was begun is given up; nothing begun, nothing stays selected."""
+        session = self.session
+        if session.turn is not None:
+            session.turn = None
+        elif self.choosing:
+            self._choose(False)
+        else:
+            session.selected, session.shape = (), None
+
+    def _open_menu(self, name: str, g: int, at: QPoint) -> None:
+        if name and name not in chosen_shapes(self.session):
+            self._click(name, False)
+        elif not name and g >= 0:
+            self.session.group = g
+        if name:
+            self.menus.shape_menu(at)
+        elif g >= 0:
+            self.menus.group_menu(at)
+
+    def _fix(self, name: str) -> None:
+        """Turn the shape whose orientation was a guess."""
+        self._click(name, False)
+        self.actions.run("turn_shape")
+
     def _show_group(self, g: int) -> None:
         if g < 0:
             self.session.selected = ()
             self.session.shape = None
             return
-        self.group = g
+        self.session.group = g
         if group_of(self.session, self.session.shape) != g:
             self.session.selected = ()
             self.session.shape = None
@@ -392,14 +439,3 @@ class CollectionPlace:
 
 
 PREVIEW_PIXELS = (PREVIEW[0] * 2, (PREVIEW[1] - PREVIEW_WORDS) * 2)
-
-
-def typical_text(groups: object, g: int) -> str:
-    """How typical the exemplar is: its rank in the group by mean distance to the others; "" when not known."""
-    members = groups.members(g)
-    if groups.dissimilarity is None or len(members) < 2:
-        return f"1 of {len(members)}" if len(members) < 2 else ""
-    total = groups.dissimilarity[np.ix_(members, members)].sum(axis=1)
-    rank = int((total < total[list(members).index(groups.exemplars[g])] - 1e-12).sum()) + 1
-    ending = {1: "st", 2: "nd", 3: "rd"}.get(rank % 10 if rank % 100 not in (11, 12, 13) else 0, "th")
-    return f"typical: {rank}{ending} of {len(members)}"

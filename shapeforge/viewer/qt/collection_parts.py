@@ -28,8 +28,10 @@ from shapeforge.viewer.qt.widgets import (
     row,
     section,
     separator,
+    set_style,
 )
 from shapeforge.viewer.readiness import group_of, groups_of, next_step, next_to_paint, unpainted_exemplars
+from shapeforge.viewer.regroup import chosen_shapes, is_left_out
 from shapeforge.viewer.runner import DOING, duration
 from shapeforge.viewer.session import Session
 
@@ -155,6 +157,9 @@ class CollectionStrip(QWidget):
     def _show_next(self) -> None:
         name, text = next_step(self.session)
         self.next.setText(text)
+        turning = self.session.turn is not None  # one blue button at a time: "Keep" is it then
+        set_style(self.next, "kind", "" if turning else "primary")
+        set_icon(self.next, "right", "text_2" if turning else "on_accent")
         can, why = self.actions.verdict(name)
         self.next.setEnabled(can)
         self.next.setToolTip(why if not can else self.actions[name].tooltip)
@@ -163,8 +168,39 @@ class CollectionStrip(QWidget):
         self.actions.run(next_step(self.session)[0])
 
 
+class SelectionSection(QWidget):
+    """What is selected, and what can be done to it; always there, so that nothing below it jumps."""
+
+    def __init__(self, session: Session, actions: Actions, binding: Binding) -> None:
+        super().__init__()
+        self._session = session
+        self.what = ElidedLabel("", "text2")
+        self.move = action_button(actions, "move_shapes", binding)
+        self.new = action_button(actions, "make_group", binding)
+        self.out = action_button(actions, "leave_out", binding)
+        self.turn = action_button(actions, "turn_shape", binding)
+        rows = []
+        for pair in ((self.move, self.new), (self.out, self.turn)):
+            line = row(*pair, spacing=8)
+            line.setStretch(0, 1)
+            line.setStretch(1, 1)
+            rows.append(line)
+        head = row(label("Selected", "heading"), None, self.what)
+        head.setStretch(2, 1)
+        self.setLayout(column(section(head, *rows), spacing=0))
+
+    def show_selection(self) -> None:
+        """Show the selection as it is now."""
+        names, total = chosen_shapes(self._session), len(self._session.project.names)
+        self.what.setText("nothing" if not names else names[0] if len(names) == 1 else f"{len(names)} of {total}")
+        self.what.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        self.out.setText("Put it back" if is_left_out(self._session) else "Leave out")
+
+
 class ProblemList(QWidget):
     """Every file that was not read or is doubtful, with the reason; its tooltip has the remedy."""
+
+    fix_wanted = Signal(str)
 
     def __init__(self, session: Session) -> None:
         super().__init__()
@@ -181,6 +217,7 @@ class ProblemList(QWidget):
         clear(self.problem_list)
         project = session.project
         problems = sorted(project.problems, key=lambda problem: problem.kind)
+        by_source = {project.shape_record(name)["source"]: name for name in project.names}
         errors = sum(problem.kind == "error" for problem in problems)
         self.read_count.setText(f"{len(project.names)} of {len(project.names) + errors} read")
         self.copy.setVisible(bool(problems))
@@ -191,6 +228,12 @@ class ProblemList(QWidget):
             name = ElidedLabel(Path(problem.file).name, "strong", Qt.TextElideMode.ElideMiddle)
             sign = icon_label("error" if failed else "warning", "error" if failed else "warning")
             words = column(name, said, spacing=0)
+            turned = by_source.get(problem.file) if problem.reason.startswith("turned") else None
+            if turned is not None:
+                fix = button("Turn it…", kind="link", tooltip="Put it upright, facing as the others do")
+                fix.setStyleSheet("font-size: 11px; min-height: 16px; max-height: 16px;")
+                fix.clicked.connect(lambda _=False, shape=turned: self.fix_wanted.emit(shape))
+                words.addLayout(row(fix, None))
             self.problem_list.addLayout(row(column(sign, None, margins=(0, 2, 0, 0)), words, spacing=8))
         if not problems:
             text = "Every file was read without complaint." if project.names else "Nothing has been imported yet."

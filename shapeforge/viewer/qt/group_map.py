@@ -12,6 +12,7 @@ import numpy as np
 from PySide6.QtCore import QEvent, QPoint, QPointF, QRect, QRectF, Qt, Signal
 from PySide6.QtGui import (
     QColor,
+    QContextMenuEvent,
     QFontMetricsF,
     QHelpEvent,
     QKeyEvent,
@@ -65,6 +66,7 @@ class GroupMap(QWidget):
     opened = Signal(str)
     group_clicked = Signal(int)
     hovered = Signal(str)
+    menu_wanted = Signal(str, int, QPoint)
 
     def __init__(
         self, picture: Callable[[str, int], QPixmap | None], about: Callable[[str], str], parent: QWidget | None = None
@@ -244,9 +246,10 @@ class GroupMap(QWidget):
             self._paint_frame(painter, tokens, box.adjusted(3, 3, -3, -3), chosen, index)
             picture_box = box.adjusted(10, 6, -10, -22)
         elif exemplar:
-            accent = QColor(tokens["accent"]) if chosen else colour
+            marked = chosen or name in self.selected
+            accent = QColor(tokens["accent"]) if marked else colour
             fill = QColor(accent)
-            fill.setAlphaF(0.25 if chosen else 0.10)
+            fill.setAlphaF(0.25 if marked else 0.10)
             painter.setPen(QPen(accent, 2))
             painter.setBrush(fill)
             painter.drawEllipse(centre, tile * 0.56, tile * 0.56)
@@ -367,6 +370,14 @@ class GroupMap(QWidget):
         name = self.name_at(event.position())
         if name is not None:
             self.opened.emit(name)
+
+    def contextMenuEvent(self, event: QContextMenuEvent) -> None:
+        if event.reason() == QContextMenuEvent.Reason.Keyboard and self.current in self.content.names:
+            at = self.at(self.content.names.index(self.current))
+            self.menu_wanted.emit(self.current, -1, self.mapToGlobal(at.toPoint()))
+        else:
+            at = QPointF(event.pos())
+            self.menu_wanted.emit(self.name_at(at) or "", self._group_at(at), event.globalPos())
 
     def leaveEvent(self, event: QEvent) -> None:
         self._hover = None

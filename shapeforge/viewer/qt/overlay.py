@@ -149,6 +149,8 @@ class Overlay(QWidget):
             painter.setPen(QPen(line, 1.8))
             painter.setBrush(ground)
             painter.drawEllipse(here, 4.4, 4.4)
+        elif mark.kind == "circle":
+            self._circle(painter, mark, camera, cell, line)
         elif mark.kind == "note":
             self._note(painter, here, mark.text, line, ground)
 
@@ -178,6 +180,21 @@ class Overlay(QWidget):
             painter.setPen(Qt.PenStyle.NoPen)
             painter.setBrush(QColor("#FFFFFF"))
             painter.drawEllipse(QPointF(*centre), 1.6, 1.6)
+
+    def _circle(self, painter: QPainter, mark: Mark, camera: vtkCamera, cell: Rectangle, line: QColor) -> None:
+        normal = np.array(mark.to, float)
+        first = np.cross(normal, (0.31, 0.87, 0.38))
+        first /= np.linalg.norm(first)
+        turn = np.linspace(0, 2 * np.pi, 73)[:, None]
+        spokes = np.cos(turn) * first + np.sin(turn) * np.cross(normal, first)
+        places = project(camera, np.array(mark.at) + mark.radius * spokes, cell)
+        near = spokes @ np.array(camera.GetDirectionOfProjection(), float) < 0.0
+        faint, width = QColor(line), 3.4 if mark.text == "held" else 2.0
+        faint.setAlphaF(0.28)
+        for there in (False, True):
+            painter.setPen(QPen(line if there else faint, width, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))
+            for i in np.flatnonzero(near[:-1] == there):
+                painter.drawLine(QPointF(*places[i]), QPointF(*places[i + 1]))
 
     def _arrow(self, painter: QPainter, start: QPointF, end: QPointF, line: QColor) -> None:
         painter.setPen(QPen(line, 1.6, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))

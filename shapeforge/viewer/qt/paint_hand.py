@@ -95,7 +95,7 @@ class PaintHand:
         if self._lasso is not None:
             lasso, self._lasso = np.array(self._lasso), None
             self.view.overlay.path = []
-            self.painter.paint(self._encircled(lasso))
+            self.painter.paint(self.painter.with_twins(self._encircled(lasso)))
         if self.painter.state.is_drawing and self.painter.end():
             self.ended()
         self.view.overlay.update()

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from PySide6.QtCore import Qt, QTimer
+from PySide6.QtCore import QObject, Qt, QTimer, Signal
 from PySide6.QtGui import QPixmap
 from PySide6.QtWidgets import QApplication, QWidget
 
 from shapeforge.viewer import brushes
 from shapeforge.viewer.actions import YES, Action, Actions, next_to_paint, unpainted_exemplars
+from shapeforge.viewer.completing import Completion
 from shapeforge.viewer.display import Display
 from shapeforge.viewer.painter import BRUSH_LIMITS, TOOL_NAMES, Painter
 from shapeforge.viewer.palette import label_colours
@@ -43,6 +44,14 @@ from shapeforge.viewer.session import Session
 
 SAVE_MS = 700
 COUNT_MS = 120
+LONGEST_WAIT = 5.0
+"""Seconds that a closing window waits for a painting that is being completed."""
+
+
+class Mail(QObject):
+    """Carries "it is completed" from the thread to the window's."""
+
+    arrived = Signal()
 
 
 class PaintPlace:
@@ -61,6 +70,9 @@ class PaintPlace:
         self._old_history = session.history
         self._add_actions()
         self._build()
+        self._mail = Mail(self.centre)
+        self._mail.arrived.connect(self._completed)
+        self.completion = Completion(self.painter, self._mail.arrived.emit)
         self._save_timer = QTimer(self.centre, singleShot=True, interval=SAVE_MS)
         self._save_timer.timeout.connect(self._save_between_strokes)
         self._count_timer = QTimer(self.centre, singleShot=True, interval=COUNT_MS)
@@ -70,7 +82,8 @@ class PaintPlace:
         self.binding.on(("shape",), self._open, now=False)
         self.binding.on(("tool", "mirror", "part", "theme"), self._show_tool, now=False)
         self.binding.on(("part",), self.parts.show_chosen, now=False)
-        self.binding.on(("brush_size", "reach"), self.brush.show_brush, now=False)
+        self.binding.on(("brush_size", "reach", "fill_to"), self.brush.show_brush, now=False)
+        self.binding.on(("fill_to", "reach"), self._show_tool, now=False)
         self.binding.on(("data", "running"), self._show_next, now=False)
 
     # ---- building ------------------------------------------------------------------------------------------------
@@ -91,6 +104,17 @@ class PaintPlace:
             add(f"part_{number}", f"Part {number}", lambda n=number: self._take_part(n - 1), str(number))
         add("mirror", "Mirror", self._toggle_mirror, "M", "Paint the opposite side too", "mirror", self._can_mirror)
         add("isolate", "Isolate", self._toggle_isolate, "H", "Show only the current part and what is unpainted", "eye")
+        add("hide_part", "Hide the part", lambda: self._hide(self.session.part), "Shift+H",
+            "Hide the current part, or show it again", "eye_off", self._can_hide)  # fmt: skip
+        add("new_part", "New part", lambda: self.parts.new_part(), "Shift+N", "Add a part to the family", "plus")
+        add("rename_part", "Rename the part", lambda: self.parts.rows[self.session.part].rename(), "F2",
+            "Give the current part another name", "", self._can_hide)  # fmt: skip
+        add("show_all_parts", "Show all parts", self._show_all_parts, "Ctrl+Shift+H", "Open every part's eye", "",
+            self._can_show_all)  # fmt: skip
+        add("reach", "Surface or through", lambda: self._toggle("reach", "surface", "through"), "T",
+            "Brush and lasso take what is seen, or what lies behind, too")  # fmt: skip
+        add("fill_to", "Fill to creases or patch", lambda: self._toggle("fill_to", "creases", "patch"), "Shift+F",
+            "Where the fill stops")  # fmt: skip
         add("smaller", "Smaller brush", lambda: self._resize(-1), "[")
         add("larger", "Larger brush", lambda: self._resize(1), "]")
         add("next_piece", "Next piece", self._go_next, "N", "Turn to the next unpainted piece", "", self._can_go_next)
@@ -197,6 +221,8 @@ class PaintPlace:
 
     def close(self) -> None:
         """The window closes."""
+        self.completion.on_result = lambda: None  # whoever closes hears nothing more of it
+        self.completion.join(LONGEST_WAIT)
         self._save()
         self._save_timer.stop()
         self._count_timer.stop()
@@ -208,6 +234,7 @@ class PaintPlace:
         if not self._entered or name is None or self.session.project is None:
             return
         self._save()
+        self.completion.forget()
         self.painter.open(name)
         self.painter.state.changed = self._changed
         self.session.history = self.painter.state
@@ -236,8 +263,14 @@ class PaintPlace:
 
     def _stroke_ended(self) -> None:
         if self.session.tool == "scribble" and len(np.unique(self.painter.state.labels)) > 2:
-            self.painter.complete(by_hand_only=True)
+            self.completion.ask()
+            self._show_tool()
         self._ended()
+
+    def _completed(self) -> None:
+        if self.completion.take():
+            self._ended()
+        self._show_tool()
 
     def _ended(self) -> None:
         self.session.edit_count += 1
@@ -288,6 +321,27 @@ class PaintPlace:
             YES if self.painter.mirror_plane is not None else (False, f"{self.painter.name} is not symmetric enough.")
         )
 
+    def _toggle(self, field: str, first: str, second: str) -> None:
+        setattr(self.session, field, second if getattr(self.session, field) == first else first)
+
+    def _can_hide(self, session: Session) -> tuple[bool, str]:
+        names = () if session.project is None else self.painter.part_names
+        return YES if session.part < len(names) else (False, "There is no part yet: add one first.")
+
+    def _hide(self, part: int) -> None:
+        self.parts.hide_part(part)
+        self.session.edit_count += 1  # what can be done depends on it
+
+    def _can_show_all(self, _session: Session) -> tuple[bool, str]:
+        return YES if self.painter.hidden or self.painter.isolated else (False, "All parts are shown.")
+
+    def _show_all_parts(self) -> None:
+        self.painter.hidden, self.painter.isolated = frozenset(), False
+        self.isolate.setChecked(False)
+        self.parts.show_parts()
+        self._changed_view()
+        self.session.edit_count += 1
+
     def _toggle_mirror(self) -> None:
         self.session.mirror = not self.session.mirror
 
@@ -330,13 +384,17 @@ class PaintPlace:
         set_icon(self.tool_icon, session.tool, "accent_text", 18)
         self.tool_name.setText(TOOL_NAMES[session.tool])
         part = names[session.part] if session.part < len(names) else "the first part"
+        stop = "the creases" if session.fill_to == "creases" else "the edge of its patch"
+        depth = "seen only" if session.reach == "surface" else "through and through"
         how = {
             "brush": f"drag paints {part} · Ctrl erases · wheel changes the size · Alt turns the view",
             "eraser": "drag takes paint away · wheel changes the size · Alt turns the view",
-            "fill": f"click paints {part} up to the creases · Ctrl erases · Alt turns the view",
+            "fill": f"click paints {part} up to {stop} · Ctrl erases · Alt turns the view",
             "piece": f"click paints the whole loose piece {part} · Ctrl erases · Alt turns the view",
-            "lasso": f"drag around what is {part} · Ctrl erases · Alt turns the view",
-            "scribble": f"one stroke on each part, now {part}; the rest is filled in",
+            "lasso": f"drag around what is {part}, {depth} · Ctrl erases · T changes · Alt turns the view",
+            "scribble": "filling in the rest…"
+            if self.completion.busy
+            else f"one stroke on each part, now {part}; the rest is filled in",
             "eyedropper": "click takes the part under the pointer",
         }[session.tool]
         self.tool_hint.setText(how)
@@ -391,9 +449,10 @@ class PaintPlace:
         left = [name for name in unpainted_exemplars(session) if name != self.painter.name or not self._has_paint()]
         if left:
             few = len(left) == 1
+            what, them = (left[0], "it") if few else (f"{len(left)} exemplars", "them")
             return False, (
-                f"{left[0] if few else f'{len(left)} exemplars'} {'is' if few else 'are'} still unpainted. "
-                f"Paint {'it' if few else 'them'}, or leave {'its group' if few else 'their groups'} out in Collection."
+                f"{what} {'is' if few else 'are'} still unpainted. Paint {them}, or leave "
+                f"{'its group' if few else 'their groups'} out in Collection (Shift+L)."
             )
         if not session.project.labelled and not self._has_paint():
             return False, "Paint at least one shape first."

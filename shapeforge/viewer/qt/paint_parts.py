@@ -34,9 +34,9 @@ TOOL_KEYS: dict[str, str] = {
 TOOL_HINTS: dict[str, str] = {
     "brush": "Paints along the surface under the ring.",
     "eraser": "Takes paint away.",
-    "fill": "Paints the face under the pointer and all around it up to the next crease.",
+    "fill": "Paints the face under the pointer and all around it up to the next crease, or the edge of its patch.",
     "piece": "Paints the whole loose piece under the pointer with the current part.",
-    "lasso": "Paints all that is seen inside a line drawn around it.",
+    "lasso": "Paints what is inside a line drawn around it: what is seen, or through and through (T).",
     "scribble": "One stroke on each part, the rest is filled in.",
     "eyedropper": "Takes the part under the pointer as the current one.",
 }

@@ -16,7 +16,7 @@ SIZE_STEPS = 200
 
 
 class BrushSection(QWidget):
-    """Size, reach and mirror of the brush."""
+    """Size and reach of the brush, where the fill stops, and mirroring."""
 
     def __init__(self, session: Session, actions: Actions) -> None:
         super().__init__()
@@ -34,13 +34,23 @@ class BrushSection(QWidget):
             self.reach.button(value).setMinimumWidth(96)
         self.reach.button("through").setToolTip("Paint what lies behind, too, within the brush's size")
         self.reach.chosen.connect(lambda value: setattr(self.session, "reach", value))
-        self.mirror = Switch(self.session.mirror)
+        self.reach.button("surface").setToolTip("Paint what is seen: along the surface, or what the lasso sees")
+        self.fill = Segments((("creases", "Creases", ""), ("patch", "Patch", "")), self.session.fill_to)
+        for value in ("creases", "patch"):
+            self.fill.button(value).setMinimumWidth(96)
+        self.fill.button("creases").setToolTip("Fill stops where the surface bends sharply  (Shift+F changes)")
+        self.fill.button("patch").setToolTip(
+            "Fill stops where the surface folds inward or its thickness changes: for rounded shapes  (Shift+F changes)"
+        )
+        self.fill.chosen.connect(lambda value: setattr(self.session, "fill_to", value))
+        self.mirror = Switch(self.session.mirror, tooltip="Paint the opposite side too  (M)")
         self.mirror.clicked.connect(lambda: self.actions.run("mirror"))
         self.mirror_error = label("", "caption")
         box = section(
             label("Brush", "heading"),
             _named("Size", self.size, self.size_value),
             _named("Reach", self.reach, None),
+            _named("Fill to", self.fill, None),
             _named("Mirror", self.mirror, label("left ↔ right"), None, self.mirror_error),
         )
         self.setLayout(column(box, spacing=0))
@@ -60,6 +70,7 @@ class BrushSection(QWidget):
         self.size.setValue(int(place))
         self.size.blockSignals(False)
         self.reach.set_value(self.session.reach)
+        self.fill.set_value(self.session.fill_to)
 
     def show_mirror(self, painter: Painter) -> None:
         """Show whether the painter's shape has a mirror plane, and how good."""

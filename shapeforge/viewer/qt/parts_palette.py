@@ -31,7 +31,7 @@ class PartsPalette(QWidget):
         self.rows: list[PartRow] = []
         self.part_count = label("", "off")
         self.part_rows = column(spacing=2)
-        new = button("New part", icon="plus", tooltip="Add a part to the family")
+        new = button("New part", icon="plus", tooltip="Add a part to the family  (Shift+N)")
         new.clicked.connect(self.new_part)
         self.merge = button("Merge…")
         self.merge.clicked.connect(self._ask_merge)
@@ -69,6 +69,10 @@ class PartsPalette(QWidget):
             one.set_current(part in (self.session.part, self.second))
         ready = self.second is not None and self.second != self.session.part
         self.merge.setEnabled(ready)
+        self.merge.setToolTip(
+            "Give all paint of the second part to the first, on every shape" if ready
+            else "Select two parts first: Ctrl-click the second."
+        )  # fmt: skip
         self.merge_hint.setText(
             f"Merge {self.rows[self.second].name.text()} into {self.rows[self.session.part].name.text()}."
             if ready and max(self.second, self.session.part) < len(self.rows)

@@ -6,11 +6,12 @@ from pathlib import Path
 
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QDragEnterEvent, QDragLeaveEvent, QDropEvent
-from PySide6.QtWidgets import QFrame, QWidget
+from PySide6.QtWidgets import QFrame, QPushButton, QWidget
 
 from shapeforge.viewer.actions import MESH_ENDINGS, Actions
 from shapeforge.viewer.qt.bind import Binding, native
-from shapeforge.viewer.qt.widgets import Clickable, column, icon_label, label, row, set_style
+from shapeforge.viewer.qt.widgets import Clickable, button, clear, column, icon_label, label, row, set_style
+from shapeforge.viewer.recent import recent_projects
 
 _WAYS = (
     ("import_folder", "Import a folder of models", "obj, off, ply, stl, glb or gltf; they are copied, never changed"),
@@ -28,9 +29,10 @@ def dropped_paths(event: QDropEvent) -> tuple[Path, ...]:
 def take_drop(actions: Actions, paths: tuple[Path, ...]) -> None:
     """Open a dropped project folder, import anything else."""
     if len(paths) == 1 and (paths[0] / "project.json").is_file():
+        actions.session.say("")
         actions.open_project(paths[0])
-    else:
-        actions.import_shapes(paths)
+    elif paths:
+        actions.offer_import(paths)
 
 
 class StartPage(QWidget):
@@ -53,6 +55,8 @@ class StartPage(QWidget):
         hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.drop.setLayout(column(hint, margins=(16, 16, 16, 16)))
         self._status = label("", "caption_error", wrap=True)
+        self.recent = row(None, spacing=12)
+        self.recent_links: dict[Path, QPushButton] = {}
         title = label("Understand a family of shapes", "large")
         about = label(
             "Group them, paint the parts of a few, and let the rest follow: parts and corresponding points of every "
@@ -62,7 +66,7 @@ class StartPage(QWidget):
         )
         inside = QWidget()
         inside.setFixedWidth(520)
-        inside.setLayout(column(title, 2, about, 20, *cards, 8, self.drop, self._status, spacing=8))
+        inside.setLayout(column(title, 2, about, 20, *cards, 8, self.drop, self.recent, self._status, spacing=8))
         self.setLayout(row(None, column(None, inside, None, spacing=0), None))
 
         def show_status() -> None:
@@ -70,6 +74,28 @@ class StartPage(QWidget):
             self._status.setText(session.status if session.status_kind in ("error", "warning") else "")
 
         binding.on(("status",), show_status)
+        binding.on(("project",), self._show_recent)
+
+    def _show_recent(self) -> None:
+        """Links to the projects opened last; their tooltips say where they are."""
+        if self._actions.session.project is not None:
+            return
+        clear(self.recent)
+        self.recent_links = {}
+        paths = recent_projects()[:4]
+        self.recent.addWidget(label("Opened before:" if paths else "Projects you open are listed here.", "caption"))
+        for path in paths:
+            link = button(path.name if len(path.name) < 24 else f"{path.name[:22]}…", kind="link", tooltip=str(path))
+            link.clicked.connect(lambda _=False, path=path: self._open(path))
+            self.recent.addWidget(link)
+            self.recent_links[path] = link
+        self.recent.addStretch(1)
+
+    def _open(self, path: Path) -> None:
+        try:
+            self._actions.open_project(path)
+        except (ValueError, OSError) as error:
+            self._actions.session.say(str(error), "error")
 
     def _way(self, name: str, title: str, about: str) -> Clickable:
         words = column(label(title, "heading"), label(about, "caption"), spacing=1)

@@ -129,6 +129,15 @@ QLineEdit {{ background: {window}; border: 1px solid {separator}; border-radius:
 QLineEdit:focus {{ border-color: {accent}; }}
 QAbstractItemView {{ background: {control}; border: 1px solid {separator_strong}; border-radius: {radius}px;
   selection-background-color: {accent_ground}; selection-color: {text}; padding: 4px; }}
+QTableWidget {{ background: {panel}; alternate-background-color: {panel}; border: 1px solid {separator};
+  padding: 0; selection-background-color: {control}; }}
+QTableWidget::item {{ padding: 0 8px; border: none; }}
+QTableWidget::indicator {{ width: 14px; height: 14px; border: 1px solid {separator_strong}; border-radius: 3px;
+  background: {control}; }}
+QTableWidget::indicator:checked {{ background: {accent}; border-color: {accent}; }}
+QHeaderView {{ background: {panel}; border: none; }}
+QHeaderView::section {{ background: {panel}; color: {text_2}; border: none; border-bottom: 1px solid {separator};
+  padding: 6px 8px; font-size: 11px; }}
 QMenu {{ background: {control}; border: 1px solid {separator_strong}; padding: 4px; }}
 QMenu::item {{ padding: 6px 24px 6px 10px; border-radius: 4px; background: transparent; }}
 QMenu::item:selected {{ background: {accent_ground}; color: {text}; }}

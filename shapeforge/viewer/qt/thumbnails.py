@@ -82,7 +82,7 @@ class Thumbnails(QObject):
         session = self._session
         project, theme = session.project, session.theme
         stamp = project.label_key(name) if parts == "painted" else session.revision if parts else 0
-        key = (str(project.path), name, size, colour, parts, stamp, theme)
+        key = (str(project.path), name, project.shape_record(name)["key"], size, colour, parts, stamp, theme)
 
         def take() -> np.ndarray:
             labels = None

@@ -32,6 +32,7 @@ from shapeforge.viewer.qt.rail import Rail
 from shapeforge.viewer.qt.start_page import EmptyPlace, StartPage, dropped_paths, take_drop
 from shapeforge.viewer.qt.theme import INSPECTOR, MINIMUM_SIZE, STRIP, TOOL_ROW, font, style_sheet
 from shapeforge.viewer.qt.widgets import column, label
+from shapeforge.viewer.recent import remember
 from shapeforge.viewer.runner import Runner, deliver
 from shapeforge.viewer.session import PLACES, Session
 
@@ -112,6 +113,7 @@ class Window(QWidget):
         self._items: dict[str, QAction] = {}
         self._entered: str | None = None
         self._preload: Thread | None = None
+        self._remembered: Path | None = None
         self._build()
         self.binding.on(("theme",), self._show_theme)
         self.binding.on(("project", "place"), self._show_place)
@@ -151,19 +153,26 @@ class Window(QWidget):
         outer.addWidget(self.rail)
         outer.addLayout(column(self.header, self.pages, spacing=0), 1)
 
-    def _install(self, centres: dict[str, QWidget] | None = None) -> None:
-        """A QAction for every action that has none yet; a place's own keys work while its centre has the focus."""
+    def _install(self, pieces: dict[str, tuple[QWidget, ...]] | None = None) -> None:
+        """A QAction for every action that has none yet; a place's own keys work while one of its pieces has the focus.
+
+        Enter, Space and the arrows belong to whatever button or slider has the focus, so outside of the centre (the
+        first piece) they are no shortcuts.
+        """
         for name, action in self.actions_table.items():
-            owner = self if action.place is None else (centres or {}).get(action.place)
-            if name in self._items or owner is None:
+            owners = (self,) if action.place is None else (pieces or {}).get(action.place, ())
+            if name in self._items or not owners:
                 continue
+            owner = owners[0]
             item = QAction(action.label, owner)
             if action.place is not None:
                 item.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
             item.setShortcut(QKeySequence(action.shortcut))
             # Always on: a key pressed in vain puts its reason into the status.
             item.triggered.connect(lambda _=False, name=name: self.actions_table.run(name))
-            owner.addAction(item)
+            far = owners if action.shortcut == "Escape" or len(action.shortcut.split("+")[-1]) == 1 else owners[:1]
+            for one in far:
+                one.addAction(item)
             self._items[name] = item
 
     def place(self, name: str) -> Place:
@@ -180,7 +189,7 @@ class Window(QWidget):
                 stack.addWidget(piece)
                 icons.refresh(piece, self.session.theme)
             self.places[name] = made
-            self._install({name: made.centre})
+            self._install({name: (made.centre, made.toolbar_widget, made.strip, made.inspector)})
         return self.places[name]
 
     def _show_place(self) -> None:
@@ -197,6 +206,9 @@ class Window(QWidget):
             session.place = "collection"
             return
         self.setWindowTitle(f"{session.project.name} – shapeforge")
+        if self._remembered != session.project.path:
+            self._remembered = session.project.path
+            remember(session.project.path)
         self.pages.setCurrentIndex(1)
         if self._entered == session.place:
             return
@@ -239,6 +251,13 @@ class Window(QWidget):
         pattern = " ".join(f"*.{ending}" for ending in endings)
         chosen, _ = QFileDialog.getOpenFileNames(self, title, "", f"Files ({pattern});;All files (*)")
         return tuple(Path(one) for one in chosen)
+
+    def preview_import(self, paths: tuple[Path, ...], go: Callable[[tuple[Path, ...], str], None]) -> None:
+        """Show what is in the files; ``go(paths, up)`` when the user wants them."""
+        from shapeforge.viewer.qt.import_dialog import ImportDialog
+
+        self.import_dialog = ImportDialog(self.session, paths, go, self)
+        self.import_dialog.open()
 
     def choose_save(self, title: str, name: str) -> Path | None:
         """Ask where to save."""

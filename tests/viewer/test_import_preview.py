@@ -1,0 +1,105 @@
+"""Before an import: what is read, guessed and refused is said; and the projects opened last are remembered."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from PySide6.QtCore import Qt
+
+from shapeforge.store import Project
+from shapeforge.viewer.import_preview import likely_unit, previews, summary
+from shapeforge.viewer.recent import recent_projects, remember
+from tests.viewer.test_window import drop
+
+LEFT = Qt.MouseButton.LeftButton
+
+
+@pytest.fixture
+def models(meshes: Path, tmp_path: Path) -> Path:
+    """Three chairs, one of them lying, one in millimetres; and a file that is no mesh."""
+    folder = tmp_path / "models"
+    folder.mkdir()
+    lines = (meshes / "chair_0000.obj").read_text().splitlines()
+    (folder / "a.obj").write_text("\n".join(lines))
+    turned, large = [], []
+    for line in lines:
+        words = line.split()
+        if words[:1] == ["v"]:
+            x, y, z = map(float, words[1:4])
+            turned.append(f"v {x} {-z} {y}")
+            large.append(f"v {1000 * x} {1000 * y} {1000 * z}")
+        else:
+            turned.append(line)
+            large.append(line)
+    (folder / "lying.obj").write_text("\n".join(turned))
+    (folder / "large.obj").write_text("\n".join(large))
+    (folder / "notes.obj").write_text("this is no mesh\n")
+    return folder
+
+
+@pytest.mark.parametrize(("longest", "unit"), [(0.9, "m"), (85.0, "cm"), (870.0, "mm"), (1.0, ""), (1e6, "")])
+def test_the_likely_unit(longest, unit):
+    assert likely_unit(longest) == unit
+
+
+def test_every_file_is_seen_before_it_is_imported(models):
+    seen = {one.name: one for one in previews([models])}
+    assert seen["a"].n_faces > 0 and seen["a"].up == "y is up" and not seen["a"].problem
+    assert seen["lying"].up.startswith("turned") and seen["lying"].is_doubtful
+    assert seen["large"].unit == "mm"
+    assert seen["notes"].problem and seen["notes"].remedy and seen["notes"].mesh is None
+    words = summary(list(seen.values()))
+    assert words.startswith("3 of 4 can be read") and "1 seems not to stand upright" in words
+
+
+def test_a_drop_shows_what_was_found_and_imports_what_is_ticked(open_window, qtbot, models):
+    window = open_window()
+    drop(window, models)
+    dialog = window.import_dialog
+    assert not dialog.start.isEnabled() and dialog.start.toolTip()
+    qtbot.waitUntil(dialog.start.isEnabled, timeout=60000)
+    rows = {dialog.table.item(i, 0).text(): i for i in range(dialog.table.rowCount())}
+    assert set(rows) == {"a", "lying", "large", "notes"}
+    assert dialog.table.item(rows["notes"], 3).text().startswith("not read")
+    assert dialog.start.text() == "Import 3 shapes"
+    qtbot.waitUntil(lambda: dialog.pictures.waiting == 0, timeout=60000)
+    icon = dialog.table.item(rows["a"], 0).icon().pixmap(40, 40).toImage()
+    assert any(icon.pixelColor(x, y).alpha() > 100 for x in range(icon.width()) for y in range(icon.height()))
+    box = dialog.table.visualItemRect(dialog.table.item(rows["large"], 0))
+    qtbot.mouseClick(dialog.table.viewport(), LEFT, pos=box.center())
+    qtbot.keyClick(dialog.table, Qt.Key.Key_Space)
+    assert dialog.start.text() == "Import 2 shapes"
+    assert window.session.project is None
+    qtbot.mouseClick(dialog.start, LEFT)
+    assert window.session.running
+    qtbot.waitUntil(lambda: not window.session.running, timeout=120000)
+    project = Project.open(models.parent / "models-project")
+    assert project.names == ("a", "lying")
+    assert [Path(problem.file).name for problem in project.problems if problem.kind == "error"] == ["notes.obj"]
+
+
+def test_thinking_again_imports_nothing(open_window, qtbot, models):
+    window = open_window()
+    drop(window, models)
+    qtbot.keyClick(window.import_dialog, Qt.Key.Key_Escape)
+    assert window.session.project is None and not window.session.running
+    assert not (models.parent / "models-project").exists()
+
+
+def test_projects_opened_last_come_first_and_lost_ones_go(grouped, tmp_path):
+    other = Project.create(tmp_path / "other")
+    for path in (grouped.path, other.path, grouped.path):
+        remember(path)
+    assert recent_projects() == (grouped.path.resolve(), other.path.resolve())
+    (other.path / "project.json").unlink()
+    assert recent_projects() == (grouped.path.resolve(),)
+
+
+def test_the_start_page_opens_a_project_of_before(open_window, qtbot, grouped):
+    window = open_window(grouped)
+    window.actions_table.run("close_project")
+    link = window.start_page.recent_links[grouped.path.resolve()]
+    assert link.isVisible()
+    qtbot.mouseClick(link, LEFT)
+    assert window.session.project is not None and window.session.project.names == grouped.names
