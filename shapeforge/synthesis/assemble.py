@@ -9,13 +9,20 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from shapeforge.synthesis.bending import BentPart, bend, count_folds, start_part
-from shapeforge.synthesis.contacts import carry_along, choose_contacts, contact_gaps, hold_contacts, join_islands
+from shapeforge.synthesis.contacts import (
+    carry_along,
+    choose_contacts,
+    contact_depths,
+    contact_gaps,
+    hold_contacts,
+    join_islands,
+)
 from shapeforge.synthesis.measures import symmetry_error
 from shapeforge.synthesis.retrieve import retrieve
 from shapeforge.synthesis.sources import Sources
 from shapeforge.synthesis.surfaces import good_triangles
 
-CONTACT_ROUNDS = 2
+CONTACT_ROUNDS = 3
 """Times that the contacts are looked at anew: a part that moved may leave another one behind."""
 
 
@@ -23,8 +30,9 @@ CONTACT_ROUNDS = 2
 class SynthesizedShape:
     """A labelled mesh in normal coordinates: ``part`` (N,) per triangle; ``sources[l]`` is the shape part l came from.
 
-    ``sources`` is "" for absent parts.  ``measures`` is ready for JSON: largest gap, gap per touching pair, symmetry
-    error and distance of the handles from the draw (diagonals), number of folded triangle pairs.
+    ``sources`` is "" for absent parts.  ``measures`` is ready for JSON: largest gap and gap per touching pair; how much
+    deeper than on their training shapes parts are in each other, the most and per pair; symmetry error; distance of the
+    handles from the draw (all in diagonals); number of folded triangle pairs.
     """
 
     vertices: Float[np.ndarray, "V 3"]
@@ -83,10 +91,13 @@ def _merge(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]], source
         miss.append(np.linalg.norm(piece.source.handle_rows[known] @ piece.x - piece.drawn[known], axis=1))
     names = sources.part_names
     gaps = {f"{names[l]} – {names[other]}": gap for (l, other), gap in contact_gaps(bent, contacts).items()}
+    deep = {f"{names[l]} – {names[other]}": d for (l, other), d in contact_depths(bent, contacts).items()}
     handles = [node for piece in bent.values() for node in piece.source.handle_rows @ piece.x]
     measures = {
         "largest_gap": max(gaps.values(), default=0.0),
         "gaps": gaps,
+        "too_deep": max(deep.values(), default=0.0),
+        "depths": deep,
         "symmetry_error": symmetry_error(np.array(handles)) if handles else None,
         "folded_triangles": folds,
         "distance_from_draw": float(np.concatenate(miss).mean()) if miss else None,
