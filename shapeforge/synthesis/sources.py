@@ -159,20 +159,23 @@ def make_sources(
         raise ValueError(f"part: wanted indices 0..{n_parts - 1}, got {part.min()}..{part.max()}.")
     present = np.isfinite(positions).all(axis=2)
     exists = np.stack([present[:, part == l].sum(axis=1) >= FEWEST_POINTS for l in range(n_parts)], axis=1)
-    touching = _touching(positions, present & exists[:, part], part, n_parts)
+    touching = touching_shares(positions, part, n_parts)
     return Sources(
         tuple(names), positions, exists, part, tuple(part_names), touching, get_shape, face_labels, frozenset(painted)
     )
 
 
-def _touching(
-    positions: np.ndarray, present: np.ndarray, part: np.ndarray, n_parts: int, most: int = 40
+def touching_shares(
+    positions: Float[np.ndarray, "T K 3"], part: Int[np.ndarray, " K"], n_parts: int, most: int = 40
 ) -> Float[np.ndarray, "L L"]:
     """Share of shapes (of at most ``most``, evenly chosen) on which two parts touch, as far as their points can tell.
 
     Points of touching parts are as near as neighbouring points of one part are: nearer than twice the spacing
     (the 9th decile of nearest distances) of the sparser part.
     """
+    present = np.isfinite(positions).all(axis=2)
+    counts = np.stack([present[:, part == l].sum(axis=1) for l in range(n_parts)], axis=1)
+    present &= (counts >= FEWEST_POINTS)[:, part]
     both, near = np.zeros((n_parts, n_parts)), np.zeros((n_parts, n_parts))
     for t in np.unique(np.linspace(0, len(positions) - 1, min(most, len(positions))).astype(int)):
         trees, spacing = {}, {}
