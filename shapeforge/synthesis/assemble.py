@@ -24,6 +24,8 @@ from shapeforge.synthesis.surfaces import good_triangles
 
 CONTACT_ROUNDS = 3
 """Times that the contacts are looked at anew: a part that moved may leave another one behind."""
+FOLD = 0.002
+"""A folded pair of triangles is as bad as so wide a gap (diagonals)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +69,25 @@ def synthesize(
         if started is not None:
             bent[int(l)] = bend(started, {}, preview=True)
     bent, contacts = join_islands(bent, choose_contacts(bent, sources.touching), sources.touching)
+    best, least = bent, np.inf
     for turn in range(1 if preview else CONTACT_ROUNDS):
         held = hold_contacts(bent, contacts)
-        for l, part in bent.items():
-            if held[l] or (turn == 0 and not preview):
-                bent[l] = bend(carry_along(part, held[l]), held[l], preview=preview)
-    return _merge(bent, contacts, sources)
+        moving = [l for l in bent if held[l] or (turn == 0 and not preview)]
+        if not moving:
+            break
+        for l in moving:
+            bent[l] = bend(carry_along(bent[l], held[l]), held[l], preview=preview)
+        faults = 0.0 if preview else _faults(bent, contacts)
+        if faults < least:
+            best, least = dict(bent), faults
+    return _merge(best, contacts, sources)
+
+
+def _faults(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]) -> float:
+    """What is wrong with the parts as they are, in diagonals: a round that mends one contact may spoil another."""
+    folds = sum(count_folds(part, part.x) for part in bent.values())
+    apart, deep = contact_gaps(bent, contacts), contact_depths(bent, contacts)
+    return sum(apart.values()) + sum(deep.values()) + FOLD * folds
 
 
 def _merge(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]], sources: Sources) -> SynthesizedShape:
