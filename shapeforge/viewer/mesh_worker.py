@@ -43,6 +43,7 @@ class MeshWorker:
         self._closed = False
         self._sources: tuple[Any, Any] = (None, None)
         self._retrieved: tuple[Any, np.ndarray | None] = (None, None)
+        self._current: tuple[int, bool] | None = None
         self._besides: list[tuple[int, np.ndarray, np.ndarray]] = []
         self._made_besides: dict[int, Made] = {}
         self._asked_besides = 0
@@ -53,8 +54,11 @@ class MeshWorker:
         self._thread.start()
 
     def ask(self, wish: int, points: Float[np.ndarray, "K 3"], exists: Bool[np.ndarray, " L"], preview: bool) -> None:
-        """Make this next; a wish not yet begun is replaced."""
+        """Make this next; a wish not yet begun is replaced, one under way is not made twice."""
         with self._wake:
+            if self._current == (wish, preview):
+                self._wish = None
+                return
             self._wish = (wish, points, exists, preview)
             self.busy = True
             self._wake.notify()
@@ -94,6 +98,7 @@ class MeshWorker:
                 if self._closed:
                     return
                 wish, self._wish = self._wish, None
+                self._current = None if wish is None else (wish[0], wish[3])
                 beside, asked = (self._besides.pop(0) if wish is None else None), self._asked_besides
             if beside is not None:
                 self._make_beside(asked, *beside)
@@ -103,7 +108,7 @@ class MeshWorker:
             except Exception as error:  # whatever it is, the window has to say it and go on
                 result = error
             with self._wake:
-                self._result = result
+                self._result, self._current = result, None
                 self.busy = self._wish is not None
                 closed = self._closed
             if not closed:

@@ -171,6 +171,9 @@ def test_the_worker_makes_the_newest_wish_only(sculptor, monkeypatch):
     assert begun.wait(10)
     for wish in (2, 3, 4):
         worker.ask(wish, points, exists, False)
+    worker.ask(1, points, exists, False)  # is under way: nothing else is wanted any more
+    assert worker._wish is None
+    worker.ask(4, points, exists, False)
     go.set()
     assert arrived.acquire(timeout=10) and arrived.acquire(timeout=10)
     assert made == [1, 4] and isinstance(worker.take(), RuntimeError) and worker.take() is None
