@@ -24,6 +24,8 @@ from shapeforge.synthesis.surfaces import good_triangles
 
 CONTACT_ROUNDS = 3
 """Times that the contacts are looked at anew: a part that moved may leave another one behind."""
+GOOD = 0.001
+"""Faults (diagonals) of a contact that are not worth another look."""
 FOLD = 0.002
 """A folded pair of triangles is as bad as so wide a gap (diagonals)."""
 
@@ -69,7 +71,7 @@ def synthesize(
         if started is not None:
             bent[int(l)] = bend(started, {}, preview=True)
     bent, contacts = join_islands(bent, choose_contacts(bent, sources.touching), sources.touching)
-    best, least = bent, np.inf
+    best, least, told = bent, np.inf, None
     for turn in range(1 if preview else CONTACT_ROUNDS):
         held = hold_contacts(bent, contacts)
         moving = [l for l in bent if held[l] or (turn == 0 and not preview)]
@@ -77,20 +79,22 @@ def synthesize(
             break
         for l in moving:
             bent[l] = bend(carry_along(bent[l], held[l]), held[l], preview=preview)
-        faults = 0.0 if preview else _faults(bent, contacts)
+        touch = contact_gaps(bent, contacts), contact_depths(bent, contacts)
+        faults = 0.0 if preview else _faults(bent, *touch)
         if faults < least:
-            best, least = dict(bent), faults
-    return _merge(best, contacts, sources)
+            best, least, told = dict(bent), faults, touch
+        if faults <= GOOD * len(contacts):
+            break
+    return _merge(best, told or (contact_gaps(best, contacts), contact_depths(best, contacts)), sources)
 
 
-def _faults(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]) -> float:
+def _faults(bent: Mapping[int, BentPart], apart: Mapping, deep: Mapping) -> float:
     """What is wrong with the parts as they are, in diagonals: a round that mends one contact may spoil another."""
     folds = sum(count_folds(part, part.x) for part in bent.values())
-    apart, deep = contact_gaps(bent, contacts), contact_depths(bent, contacts)
     return sum(apart.values()) + sum(deep.values()) + FOLD * folds
 
 
-def _merge(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]], sources: Sources) -> SynthesizedShape:
+def _merge(bent: Mapping[int, BentPart], told: tuple[Mapping, Mapping], sources: Sources) -> SynthesizedShape:
     """All parts in one mesh, without triangles that collapsed, and its measures."""
     vertices, triangles, part, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int32)], [np.zeros(0, np.int32)], 0
     folds, miss = 0, []
@@ -105,8 +109,8 @@ def _merge(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]], source
         known = np.isfinite(piece.drawn).all(axis=1)
         miss.append(np.linalg.norm(piece.source.handle_rows[known] @ piece.x - piece.drawn[known], axis=1))
     names = sources.part_names
-    gaps = {f"{names[l]} – {names[other]}": gap for (l, other), gap in contact_gaps(bent, contacts).items()}
-    deep = {f"{names[l]} – {names[other]}": d for (l, other), d in contact_depths(bent, contacts).items()}
+    gaps = {f"{names[l]} – {names[other]}": gap for (l, other), gap in told[0].items()}
+    deep = {f"{names[l]} – {names[other]}": d for (l, other), d in told[1].items()}
     handles = [node for piece in bent.values() for node in piece.source.handle_rows @ piece.x]
     measures = {
         "largest_gap": max(gaps.values(), default=0.0),

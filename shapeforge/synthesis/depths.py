@@ -65,14 +65,15 @@ def depths(
     the last surface behind the point, not a matter of inside and outside.  Rays start a little nearer to the middle of
     the point's ``piece``: legs flush with the edges of a top would miss it.
     """
-    found = np.zeros(len(points))
-    for one in np.unique(piece):
-        rows = np.flatnonzero((piece == one) & (into != 0).any(axis=1))
-        if len(rows):
-            start = points[rows] + INWARDS * (points[rows].mean(axis=0) - points[rows])
-            start += ((points[rows] - start) * into[rows]).sum(axis=1, keepdims=True) * into[rows]
-            hit = first_hits(surface, start - REACH * into[rows], into[rows])
-            found[rows] = np.maximum(REACH - hit, 0.0)
+    found, start = np.zeros(len(points)), np.array(points, float)
+    directed = (into != 0).any(axis=1)
+    for one in np.unique(piece[directed]):
+        rows = np.flatnonzero((piece == one) & directed)
+        start[rows] += INWARDS * (points[rows].mean(axis=0) - points[rows])
+    if directed.any():
+        to = into[directed]
+        start = start[directed] + ((points[directed] - start[directed]) * to).sum(axis=1, keepdims=True) * to
+        found[directed] = np.maximum(REACH - first_hits(surface, start - REACH * to, to), 0.0)
     return found
 
 
