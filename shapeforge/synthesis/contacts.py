@@ -105,7 +105,7 @@ def hold_contacts(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]])
                 moves = distance > anchors.distance + SLACK
                 piece = bent[l].source.piece[anchors.vertices]
                 excess = depths(here, anchors.into, piece, bent[other].surface) - anchors.deep
-                back = pushed_back(excess, anchors.into, piece, SLACK)
+                back = pushed_back(excess, anchors.deep, anchors.into, piece, SLACK)
                 deep = back > 0
                 there = np.where(deep[:, None], here - back[:, None] * anchors.into, there)
                 moves, distance = moves | deep, np.where(deep, back, distance)

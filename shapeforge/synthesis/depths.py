@@ -16,6 +16,10 @@ ONE_WAY = 0.6
 """Share of the contact's normals along one axis, below which the contact has no direction (a peg in a hole)."""
 INWARDS = 0.1
 """Share of the way to the middle of its piece's contact by which a ray is moved."""
+DEEPEST = 0.05
+"""What came farther (diagonals) through the other part than this is not pushed back: it may be meant to be there."""
+SITS_ON = 0.01
+"""A part that on its shape was deeper in the other than this (diagonals, median) is let in, and may go anywhere."""
 APART = 0.003
 """Middles of the two sides of a contact lie at least so far (diagonals) apart, along its axis."""
 
@@ -78,13 +82,19 @@ def depths(
 
 
 def pushed_back(
-    excess: Float[np.ndarray, " A"], into: Float[np.ndarray, "A 3"], piece: Int[np.ndarray, " A"], slack: float
+    excess: Float[np.ndarray, " A"],
+    before: Float[np.ndarray, " A"],
+    into: Float[np.ndarray, "A 3"],
+    piece: Int[np.ndarray, " A"],
+    slack: float,
 ) -> Float[np.ndarray, " A"]:
     """How far each contact vertex has to go back, where half of its piece's or more are too deep by ``slack``."""
     back = np.zeros(len(excess))
     for one in np.unique(piece):
         rows = (piece == one) & (into != 0).any(axis=1)
         deep = rows & (excess > slack)
+        if deep.any() and (np.median(before[rows]) > SITS_ON or np.median(excess[deep]) > DEEPEST):
+            continue
         if deep.any() and 2 * deep.sum() >= rows.sum():
             # The ray of one at the rim of the other part may miss it: it goes back with the rest.
             back[rows] = np.where(deep, excess, np.median(excess[deep]))[rows]

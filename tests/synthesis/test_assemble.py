@@ -12,7 +12,7 @@ from shapeforge.synthesis import bending
 from shapeforge.synthesis.assemble import synthesize
 from shapeforge.synthesis.bending import bend, count_folds, start_part
 from shapeforge.synthesis.contacts import carry_along, choose_contacts, contact_depths, hold_contacts, join_islands
-from shapeforge.synthesis.depths import depths
+from shapeforge.synthesis.depths import depths, pushed_back
 from shapeforge.synthesis.measures import inverted_triangles
 from shapeforge.synthesis.surfaces import as_mesh
 
@@ -163,3 +163,13 @@ def test_triangles_without_a_side_do_not_fold() -> None:
     assert inverted_triangles(rest, turned, flat) == 0
     rest[3, 2], turned[3, 2] = -0.1, 0.1
     assert inverted_triangles(rest, turned, flat) == 1
+
+
+def test_what_is_let_in_or_far_through_is_not_pushed_back() -> None:
+    into, piece, on = np.tile([0.0, 1.0, 0.0], (4, 1)), np.zeros(4, int), np.zeros(4)
+    np.testing.assert_allclose(pushed_back(np.full(4, 0.03), on, into, piece, 0.003), 0.03)
+    assert not pushed_back(np.full(4, 0.08), on, into, piece, 0.003).any()
+    assert not pushed_back(np.full(4, 0.03), np.full(4, 0.02), into, piece, 0.003).any()
+    rim = pushed_back(np.array([0.03, 0.03, 0.0, 0.02]), on, into, piece, 0.003)
+    np.testing.assert_allclose(rim, [0.03, 0.03, 0.03, 0.02])  # the ray of one missed: it goes with the rest
+    assert not pushed_back(np.array([0.03, 0.0, 0.0, 0.0]), on, into, piece, 0.003).any()
