@@ -28,14 +28,15 @@ from shapeforge.collection.prepare import normal_frame
 from shapeforge.collection.shape import Mesh, Shape
 from shapeforge.collection.surface import closest_points
 from shapeforge.generative.draw import draw
-from shapeforge.stages_synthesis import sources_of
+from shapeforge.stages_synthesis import completed, sources_of
 from shapeforge.store import Project
 from shapeforge.synthesis.assemble import SynthesizedShape, synthesize
 from shapeforge.synthesis.cleaning import clean_labels, components, neighbours
 from shapeforge.synthesis.measures import raggedness, symmetry_error
+from shapeforge.synthesis.retrieve import retrieve
 from shapeforge.synthesis.sources import FEWEST_POINTS, Sources, make_sources
 from shapeforge.synthesis.surfaces import as_mesh, weld
-from shapeforge.validation.plausibility import chamfer, plausibility
+from shapeforge.validation.plausibility import chamfer, contact_distance, novelty, plausibility
 from shapeforge.validation.statistics import format_table
 
 ADDRESS_TOLERANCE = 0.15
@@ -120,9 +121,14 @@ def draws_between(family: TrueFamily, chosen: np.ndarray, n: int, *, rng: np.ran
     patterns = {int(i): tuple(family.exists(i)) for i in chosen}
     pairs = [(i, j) for i in patterns for j in patterns if i < j and patterns[i] == patterns[j]]
     found = []
-    for k in rng.permutation(len(pairs))[:n]:
+    for k in rng.permutation(len(pairs)):
+        if len(found) == n:
+            break
         i, j = pairs[k]
         middle = 0.5 * (family.positions[i] + family.positions[j])
+        known = np.bincount(family.part, np.isfinite(middle[:, 0]), len(family.part_names))
+        if (known[np.array(patterns[i])] < FEWEST_POINTS).any():
+            continue  # an engine in the nose and engines under the wings have nothing half-way
         found.append((middle + rng.normal(0, NOISE, middle.shape), np.array(patterns[i]), None))
     return found
 
@@ -139,7 +145,7 @@ def measure(family: TrueFamily, draws: list[tuple], sources: Sources, real: list
     """Means over the draws: seconds, gaps, folds, symmetry, distance from draw and truth; plausibility of clouds."""
     seconds, preview, made, truth = [], [], [], []
     for points, exists, index in draws:
-        synthesize(points, exists, sources)  # the sources are read once; the seconds are those of the next meshes
+        retrieve(points, exists, sources)  # the sources are read once; the seconds are those of the mesh
         begin = time.perf_counter()
         shape = synthesize(points, exists, sources)
         seconds.append(time.perf_counter() - begin)
@@ -155,14 +161,19 @@ def measure(family: TrueFamily, draws: list[tuple], sources: Sources, real: list
         closest_points(mesh_of(shape), points[np.isfinite(points).all(axis=1) & exists[family.part]])[2].mean()
         for shape, (points, exists, _) in zip(made, draws, strict=True)
     ]
-    result = plausibility(real, clouds)
+    result, new = plausibility(real, clouds), novelty(real, clouds)
     return {
         "n": len(made),
         "seconds": float(np.median(seconds)),
         "preview_seconds": float(np.median(preview)),
         "gap_mean": float(gaps.mean()),
         "gap_over_.005": float((gaps > 0.005).mean()),
+        "too_deep": float(np.mean([shape.measures["too_deep"] for shape in made])),
+        "contact_distance": mean_of([contact_distance(mesh_of(s), s.part, sources.touching) for s in made]),
+        "complete": float(np.mean([is_complete(s, exists) for s, (_, exists, _) in zip(made, draws, strict=True)])),
         "folds": float(np.mean([shape.measures["folded_triangles"] for shape in made])),
+        "novelty": new.new,
+        "novelty_over_real": new.ratio,
         "symmetry_error": float(np.mean([symmetry_error(c) for c in clouds])),
         "draw_to_surface": float(np.mean(on_surface)),
         "truth_chamfer": float(np.mean(truth)) if truth else None,
@@ -170,6 +181,17 @@ def measure(family: TrueFamily, draws: list[tuple], sources: Sources, real: list
         "coverage": result.coverage,
         "one_nn": result.one_nn,
     }
+
+
+def mean_of(values: list[float | None]) -> float | None:
+    """Mean of those that are known."""
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def is_complete(shape: SynthesizedShape, exists: np.ndarray) -> bool:
+    """Whether the mesh has every part that the draw names."""
+    return all(bool(source) for source, wanted in zip(shape.sources, exists, strict=True) if wanted)
 
 
 def mesh_of(shape: SynthesizedShape) -> Mesh:
@@ -188,10 +210,19 @@ def run(family_name: str, count: int, n_draws: int, seed: int) -> dict:
     left_out, chosen = np.arange(count - n_out, count), np.arange(count - n_out)
     sources = family.sources(chosen)
     real = [cloud(family.shapes[i].mesh, rng) for i in range(count)]
+    touch = [
+        contact_distance(family.shapes[i].mesh, family.faces[i][family.shapes[i].mesh.face_of_triangle],
+                         sources.touching)
+        for i in range(count)
+    ]  # fmt: skip
     return {
         "between": measure(family, draws_between(family, chosen, n_draws, rng=rng), sources, real, rng),
         "held out": measure(family, draws_held_out(family, left_out, rng=rng), sources, real, rng),
-        "real": {"n": count, "symmetry_error": float(np.mean([symmetry_error(c) for c in real]))},
+        "real": {
+            "n": count,
+            "contact_distance": mean_of(touch),
+            "symmetry_error": float(np.mean([symmetry_error(c) for c in real])),
+        },
     }
 
 
@@ -201,8 +232,11 @@ def from_project(path: str, n_draws: int, seed: int) -> dict:
     machine, mixture = project.machine(), project.mixture()
     if machine is None or mixture is None:
         raise SystemExit(f"{path}: wanted a project with a learnt machine. Run `shapeforge learn` first.")
-    draws = draw(machine, mixture, n_draws, rng=np.random.default_rng(seed))
     clean = sources_of(project)
+    draws = completed(machine, draw(machine, mixture, n_draws, rng=np.random.default_rng(seed)), clean)
+    rng = np.random.default_rng(seed)
+    shapes = [project.shapes.named(name) for name in clean.names]
+    real = [cloud(shape.mesh, rng) for shape in shapes]
     as_labelled = replace(clean, painted=frozenset(clean.names), smooth=False, _cache=OrderedDict())
     result = {}
     for name, sources in (("as labelled", as_labelled), ("cut cleanly", clean)):
@@ -215,13 +249,16 @@ def from_project(path: str, n_draws: int, seed: int) -> dict:
             "n": len(made),
             "gap_mean": float(np.mean([shape.measures["largest_gap"] for shape in made])),
             "gap_over_.005": float(np.mean([shape.measures["largest_gap"] > 0.005 for shape in made])),
+            "too_deep": float(np.mean([shape.measures["too_deep"] for shape in made])),
+            "contact_distance": mean_of([contact_distance(mesh_of(s), s.part, sources.touching) for s in made]),
+            "complete": float(np.mean([is_complete(s, e) for s, e in zip(made, draws.exists, strict=True)])),
+            "novelty_over_real": novelty(real, [cloud(mesh_of(s), rng) for s in made]).ratio,
             "symmetry_error": float(np.mean([shape.measures["symmetry_error"] for shape in made])),
             "folds": float(np.mean([shape.measures["folded_triangles"] for shape in made])),
             "islands": float(np.mean([n_islands(s.vertices, s.triangles, s.part, sources.n_parts) for s in made])),
             "raggedness": float(np.mean([part.quality.raggedness for part in used])),
             "distance_from_draw": float(np.mean([shape.measures["distance_from_draw"] for shape in made])),
         }
-    shapes = [project.shapes.named(name) for name in clean.names]
     labels = [np.asarray(l)[s.mesh.face_of_triangle] for s, l in zip(shapes, clean.face_labels, strict=True)]
     points = [p[np.isfinite(p).all(axis=1)] for p in np.asarray(clean.positions, float)]
     islands = [n_islands(s.mesh.vertices, s.mesh.triangles, l, clean.n_parts)
@@ -229,6 +266,9 @@ def from_project(path: str, n_draws: int, seed: int) -> dict:
     ragged = [raggedness(s.mesh, l, int(part)) for s, l in zip(shapes, labels, strict=True) for part in np.unique(l)]
     result["training"] = {
         "n": len(shapes),
+        "contact_distance": mean_of(
+            [contact_distance(s.mesh, l, clean.touching) for s, l in zip(shapes, labels, strict=True)]
+        ),
         "symmetry_error": float(np.mean([symmetry_error(p) for p in points])),
         "islands": float(np.mean(islands)),
         "raggedness": float(np.mean(ragged)),

@@ -234,12 +234,23 @@ def synthesize(
     count: Annotated[int | None, typer.Option(min=1, help="How many (first run: 20).")] = None,
     format: Annotated[str | None, typer.Option(help="glb, ply, obj or stl (first run: glb).")] = None,
     temperature: Annotated[float | None, typer.Option(help="Below 1 typical shapes, above 1 unusual ones.")] = None,
+    recipe: Annotated[list[Path] | None, typer.Option(help="Make these again: .recipe.json beside a mesh.")] = None,
     seed: Seed = None,
     jobs: Jobs = None,
     restart: Restart = False,
     as_json: Json = False,
 ) -> None:
     """Make new labelled meshes."""
+    if recipe:
+        from shapeforge.stages_recipes import remake_files
+        from shapeforge.store import Project
+
+        files = remake_files(Project.open(path), recipe, out, format or "glb")
+        typer.echo(f"synthesize: {len(files)} shapes made again in {out}")
+        if as_json:
+            names = [str(file) for file in files]
+            print_json({"verb": "synthesize", "project": str(path), "out": str(out), "files": names})
+        return
     run_stage(
         path, "synthesize", as_json, jobs=jobs, restart=restart, out=str(out.absolute()), count=count, format=format,
         temperature=temperature, seed=seed,

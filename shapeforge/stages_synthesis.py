@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ FORMATS = ("glb", "ply", "obj", "stl")
 def synthesize(task: Task) -> Iterator[Progress]:
     """``count`` new shapes: drawn, made of retrieved and bent parts, written as labelled meshes to ``out``."""
     from shapeforge.generative.draw import draw
+    from shapeforge.stages_recipes import points_of, recipe_of, write_recipe
     from shapeforge.synthesis.assemble import synthesize as synthesize_mesh
 
     project, folder, options = task.project, task.folder, task.options
@@ -37,6 +39,7 @@ def synthesize(task: Task) -> Iterator[Progress]:
     rng = np.random.default_rng(options["seed"])
     drawn = draw(machine, mixture, count, rng=rng, temperature=float(options["temperature"]))
     sources = sources_of(project)
+    drawn = completed(machine, drawn, sources)
     names = [f"{project.name}_{i + 1:03d}" for i in range(count)]
     part_names = fitted_part_names(project)
     write_record(folder / "draws.zarr.zip", {"points": drawn.points, "exists": drawn.exists, "names": names})
@@ -46,9 +49,11 @@ def synthesize(task: Task) -> Iterator[Progress]:
         if path.is_file():
             made = read_record(path)[0]
         else:
-            shape = synthesize_mesh(np.asarray(drawn.points[i], np.float64), drawn.exists[i], sources)
-            made = as_record(shape)
+            shape = synthesize_mesh(points_of(machine, drawn.latents[i]), drawn.exists[i], sources)
+            drawing = {"seed": options["seed"], "number": i + 1, "temperature": float(options["temperature"])}
+            made = as_record(shape) | {"recipe": recipe_of(project, drawn.latents[i], shape, **drawing)}
             write_record(path, made)
+        write_recipe(out / f"{names[i]}.{options['format']}", made["recipe"])
         write_labelled(out, names[i], made, part_names, options["format"])
         return made
 
@@ -62,6 +67,19 @@ def synthesize(task: Task) -> Iterator[Progress]:
     text = f"{count} shapes in {out}"
     task.summary |= {"text": text, "count": count, "out": str(out), "names": names}
     yield task.progress("synthesize", count, count, text, state=drawn)
+
+
+def completed(machine: Any, drawn: Any, sources: Any) -> Any:
+    """The draws with the parts that join what would fall asunder (see ``synthesis.complete``)."""
+    from shapeforge.generative.draw import Draw
+    from shapeforge.generative.inference import decode
+    from shapeforge.synthesis.complete import bridging_parts
+
+    exists = np.stack([bridging_parts(one, sources.touching) for one in drawn.exists])
+    if np.array_equal(exists, drawn.exists):
+        return drawn
+    latents = replace(drawn.latents, exists=exists)
+    return Draw(machine.to_positions(decode(machine, latents), exists), exists, latents)
 
 
 def as_record(shape: Any) -> dict[str, Any]:
@@ -95,11 +113,20 @@ def sources_of(project: Project) -> Any:
     from shapeforge.synthesis.sources import make_sources
 
     names = project.fit_names
-    positions = np.stack([np.asarray(project.positions(name), np.float64) for name in names])
     hierarchy = project.hierarchy()
+    # Shapes that were explained after a turn lend their parts turned, as draws lie the way the family does.
+    positions = np.stack([
+        project.beliefs(name).to_family(np.asarray(project.positions(name), np.float64)) for name in names
+    ])  # fmt: skip
+
+    def turned(t: int) -> Any:
+        shape, beliefs = project.shapes.named(names[t]), project.beliefs(names[t])
+        if beliefs.lies_as_the_family:
+            return shape
+        return replace(shape, mesh=shape.mesh.moved(beliefs.to_family(np.asarray(shape.mesh.vertices, np.float64))))
 
     return make_sources(
-        names, lambda t: project.shapes.named(names[t]), FittedLabels(project, names), positions,
+        names, turned, FittedLabels(project, names), positions,
         hierarchy.top.label, tuple(hierarchy.top.part_names), project.labelled,
     )  # fmt: skip
 

@@ -176,6 +176,40 @@ def test_new_meshes_are_labelled_face_by_face(folder: Path) -> None:
     assert measures[files[0].stem]["sources"] and project.draws()["names"] == [file.stem for file in files]
 
 
+def test_a_recipe_makes_the_same_mesh_again(folder: Path, tmp_path: Path, capsys) -> None:
+    recipes = sorted((folder / "new").glob("*.recipe.json"))
+    assert [r.name for r in recipes] == [f"{m.name}.recipe.json" for m in sorted((folder / "new").glob("*.ply"))]
+    asked = [word for recipe in recipes for word in ("--recipe", recipe)]
+    line = ["synthesize", folder / "project", "--out", tmp_path, "--format", "ply", *asked, "--json"]
+    status, out, err = run(capsys, *line)
+    assert status == 0, err
+    assert len(json.loads(out.splitlines()[-1])["files"]) == 2
+    for recipe in recipes:
+        mesh = recipe.name.removesuffix(".recipe.json")
+        assert (tmp_path / mesh).read_bytes() == (folder / "new" / mesh).read_bytes()
+        labels = mesh.replace(".ply", ".seg")
+        assert (tmp_path / labels).read_bytes() == (folder / "new" / labels).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"machine": "another"}, "machine another"),
+        ({"version": 9}, "version 1"),
+        ({"sources": {"seat": "sofa"}}, "sofa"),
+    ],
+)
+def test_a_recipe_of_something_else_is_refused(
+    folder: Path, tmp_path: Path, capsys, change: dict, expected: str
+) -> None:
+    recipe = json.loads(sorted((folder / "new").glob("*.recipe.json"))[0].read_text())
+    (tmp_path / "x.ply.recipe.json").write_text(json.dumps(recipe | change))
+    status, _, err = run(
+        capsys, "synthesize", folder / "project", "--out", tmp_path / "o", "--recipe", tmp_path / "x.ply.recipe.json"
+    )
+    assert status == 1 and expected in err and not (tmp_path / "o").exists()
+
+
 def test_new_meshes_that_were_deleted_are_written_again(folder: Path, capsys) -> None:
     lost = sorted((folder / "new").glob("*.ply"))[0]
     before = lost.read_bytes()

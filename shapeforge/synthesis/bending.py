@@ -28,6 +28,7 @@ STIFFER = (1.0, 8.0, 64.0)
 class BentPart:
     """A part under way: ``drawn`` is where the draw wants its handles, ``targets`` what the contacts made of that.
 
+    ``affine`` are the vertices under the whole part's affine map, which folds nothing;
     ``rest`` is the pre-alignment per node; ``start`` are the graph's unknowns after the pre-alignment alone, ``x`` as
     bent so far; ``anchors`` by other part.
     """
@@ -35,6 +36,7 @@ class BentPart:
     source: SourcePart
     drawn: Float[np.ndarray, "C 3"]
     targets: Float[np.ndarray, "C 3"]
+    affine: Float[np.ndarray, "V 3"]
     rest: Float[np.ndarray, "N 3 3"]
     start: Float[np.ndarray, "M 3"]
     x: Float[np.ndarray, "M 3"]
@@ -71,7 +73,7 @@ def start_part(source: SourcePart, points: Float[np.ndarray, "K 3"]) -> BentPart
             rest[piece_of_node == c] = own_matrix
             moved[piece_of_node == c] = nodes[piece_of_node == c] @ own_matrix.T + own_offset
     x = np.concatenate([rest.transpose(0, 2, 1), moved[:, None]], axis=1).reshape(-1, 3)
-    return BentPart(source, targets, targets, rest, x, x, source.anchors)
+    return BentPart(source, targets, targets, source.vertices @ matrix.T + offset, rest, x, x, source.anchors)
 
 
 def bend(part: BentPart, held: Mapping[int, np.ndarray], *, preview: bool) -> BentPart:
@@ -109,4 +111,4 @@ def bend(part: BentPart, held: Mapping[int, np.ndarray], *, preview: bool) -> Be
 def count_folds(part: BentPart, x: Float[np.ndarray, "M 3"]) -> int:
     """Folds of the part bent by the unknowns ``x``, beyond those of its mesh (see :func:`inverted_triangles`)."""
     source = part.source
-    return inverted_triangles(source.rows @ part.start, source.rows @ x, source.triangles, source.neighbours)
+    return inverted_triangles(part.affine, source.rows @ x, source.triangles, source.neighbours)

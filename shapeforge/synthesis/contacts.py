@@ -14,6 +14,7 @@ from scipy.spatial.distance import cdist
 
 from shapeforge.collection.surface import closest_points
 from shapeforge.synthesis.bending import BentPart
+from shapeforge.synthesis.depths import depths, pushed_back
 from shapeforge.synthesis.measures import gap
 from shapeforge.synthesis.sources import ANCHORS, Anchors
 from shapeforge.synthesis.surfaces import farthest_points
@@ -73,7 +74,8 @@ def join_islands(
                 if distance.min() <= FARTHEST_ISLAND:
                     close = np.flatnonzero(distance <= distance.min() + 0.01)
                     chosen = close[farthest_points(vertices[close], ANCHORS)]
-                    held_on = Anchors(chosen, distance[chosen] - distance.min())
+                    nothing = np.zeros(len(chosen))
+                    held_on = Anchors(chosen, distance[chosen] - distance.min(), np.zeros((len(chosen), 3)), nothing)
                     bent[l] = replace(bent[l], anchors={**bent[l].anchors, other: held_on})
                     contacts.append((min(l, other), max(l, other)))
                     joined = True
@@ -86,14 +88,14 @@ def join_islands(
 
 
 def hold_contacts(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]) -> dict[int, dict[int, np.ndarray]]:
-    """Where the anchors that came loose should go: {part: {vertex: position}}.
+    """Where the anchors that came loose, or went in too deep, should go: {part: {vertex: position}}.
 
-    Loose is what is farther from the other part than on the training shape: what was let in stays as deep.
+    Loose is what is farther from the other part than on the training shape, too deep what came farther through it.
     Of the two parts of a contact that one moves whose anchors have less far to go (the top ends of other legs may sit
     anywhere under a seat, but a corner of the seat should not reach out for them), and rather one that stretches than
     one that bends: the fin reaches up to the tailplane, the tailplane does not sag onto the fin.
     """
-    loose: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, float]] = {}
+    loose: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, tuple[bool, float]]] = {}
     for pair in contacts:
         for l, other in (pair, pair[::-1]):
             if other in bent[l].anchors:
@@ -101,8 +103,18 @@ def hold_contacts(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]])
                 here = bent[l].source.rows[anchors.vertices] @ bent[l].x
                 there, _, distance = closest_points(bent[other].surface, here)
                 moves = distance > anchors.distance + SLACK
+                piece = bent[l].source.piece[anchors.vertices]
+                excess = depths(here, anchors.into, piece, bent[other].surface) - anchors.deep
+                back = pushed_back(excess, anchors.deep, anchors.into, piece, SLACK)
+                deep = back > 0
+                there = np.where(deep[:, None], here - back[:, None] * anchors.into, there)
+                moves, distance = moves | deep, np.where(deep, back, distance)
+                if moves.any():  # the others are held where they are: free, they would be drawn back
+                    there, moves = np.where(moves[:, None], there, here), np.ones(len(moves), bool)
                 bending = 2.0 - _stretchiness(bent[l].vertices, here, there - here)
-                loose[l, other] = anchors.vertices[moves], there[moves], bending * float(distance.mean())
+                # Who sees no depth (a plate into which others go) doesn't get by with doing nothing about it.
+                cost = not deep.any(), bending * float(distance.mean())
+                loose[l, other] = anchors.vertices[moves], there[moves], cost
     held: dict[int, dict[int, np.ndarray]] = {l: {} for l in bent}
     for pair in contacts:
         ways = [way for way in (pair, pair[::-1]) if way in loose]
@@ -131,12 +143,17 @@ def carry_along(part: BentPart, held: Mapping[int, np.ndarray]) -> BentPart:
         own, at = piece_of_handle == piece, source.piece[vertices] == piece
         if not own.any():
             continue
-        stretch = _stretchiness(handles[own], here[at], shifts[at])
+        common = shifts[at].mean(axis=0, keepdims=True)
+        apart = shifts[at] - common  # the two ends of a shelf that is too short go opposite ways
         distance = cdist(handles[own], here[at])
         weight = 1 / (distance**2 + (FALLOFF / 3) ** 2)
-        shift = weight @ shifts[at] / weight.sum(axis=1, keepdims=True)
-        fade = 1 - stretch * (1 - np.exp(-0.5 * (distance.min(axis=1) / FALLOFF) ** 2))
-        targets[own] += fade[:, None] * shift
+        weight /= weight.sum(axis=1, keepdims=True)
+        near = np.exp(-0.5 * (distance.min(axis=1) / FALLOFF) ** 2)[:, None]
+        for shift, stretch in (
+            (np.broadcast_to(common, apart.shape), _stretchiness(handles[own], here[at], shifts[at])),
+            (apart, _spreading(handles[own], here[at], apart)),
+        ):
+            targets[own] += (1 - stretch * (1 - near)) * (weight @ shift)
     return replace(part, targets=targets)
 
 
@@ -149,6 +166,37 @@ def _stretchiness(points: np.ndarray, anchors: np.ndarray, shifts: np.ndarray) -
         return 0.0
     along = abs(float((points.mean(axis=0) - anchors.mean(axis=0)) @ direction)) / length
     return min(1.0, along / reach)
+
+
+def _spreading(points: np.ndarray, anchors: np.ndarray, shifts: np.ndarray) -> float:
+    """The same for shifts that differ: 1 where each anchor moves along the line from the points' middle to it."""
+    length = np.linalg.norm(shifts, axis=1)
+    reach = float(np.linalg.norm(np.ptp(points, axis=0))) / 2
+    if length.sum() < 1e-9 or reach < 1e-9:
+        return 0.0
+    along = np.abs(((anchors - points.mean(axis=0)) * shifts).sum(axis=1)).sum() / length.sum()
+    return min(1.0, float(along) / reach)
+
+
+def contact_depths(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]) -> dict[tuple[int, int], float]:
+    """How much deeper (diagonals) the parts of each contact are in each other than on their training shapes.
+
+    The median over the contact of the deepest piece; of what the two parts tell, the less.
+    """
+    surfaces = {l: piece.surface for l, piece in bent.items()}
+    found = {}
+    for pair in contacts:
+        told = []
+        for l, other in (pair, pair[::-1]):
+            anchors = bent[l].anchors.get(other)
+            if anchors is not None and anchors.into.any():
+                at = bent[l].vertices[anchors.vertices]
+                piece = bent[l].source.piece[anchors.vertices]
+                excess = np.maximum(depths(at, anchors.into, piece, surfaces[other]) - anchors.deep, 0.0)
+                piece = np.where(anchors.into.any(axis=1), piece, -1)
+                told.append(max(float(np.median(excess[piece == one])) for one in np.unique(piece) if one >= 0))
+        found[pair] = min(told, default=0.0)
+    return found
 
 
 def contact_gaps(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]) -> dict[tuple[int, int], float]:

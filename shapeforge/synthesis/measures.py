@@ -22,6 +22,8 @@ MISPLACED = 0.03
 MENDED = 0.4
 HOLES = 4.0
 FEWEST_TRIANGLES = 8
+THINNEST = 1e-5
+"""Height (diagonals) of the flattest triangle whose side is worth looking at."""
 CONTACT_REACH = 0.06
 """A part holds on if it touches within this distance (diagonals) of its anchors."""
 
@@ -174,14 +176,19 @@ def inverted_triangles(
     """Folds that bending made: pairs of neighbours that faced alike at rest (within 60 degrees) and now are opposed.
 
     ``rest`` should hold the vertices after the affine part of the deformation, which folds nothing;
-    ``pairs`` are the pairs of triangles with a common edge, where they are known already.
+    ``pairs`` are the pairs of triangles with a common edge, where they are known already.  Triangles that are thinner
+    than THINNEST at rest don't count: they have no side to speak of, and a rounding error turns them.
     """
     first, second = neighbours(rest, triangles)[:2] if pairs is None else pairs
-    turn = []
+    turn, thick = [], np.ones(len(triangles), bool)
     for vertices in (rest, bent):
         a, b, c = (vertices[triangles[:, i]] for i in range(3))
         normal = np.cross(b - a, c - a)
+        if vertices is rest:
+            longest = np.maximum.reduce([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))])
+            thick = (normal**2).sum(axis=1) > THINNEST**2 * longest
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
         turn.append((normal[first] * normal[second]).sum(axis=1))
     # Files often wind neighbours against each other: compare with how they stood at rest.
-    return int((((turn[0] > 0.5) & (turn[1] < -0.5)) | ((turn[0] < -0.5) & (turn[1] > 0.5))).sum())
+    opposed = ((turn[0] > 0.5) & (turn[1] < -0.5)) | ((turn[0] < -0.5) & (turn[1] > 0.5))
+    return int((opposed & thick[first] & thick[second]).sum())

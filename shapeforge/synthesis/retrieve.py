@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,13 +100,16 @@ def mirror_partners(sources: Sources, *, most: int = 40) -> list[tuple[int, int]
 
 def retrieve(
     points: Float[np.ndarray, "K 3"], exists: Bool[np.ndarray, " L"], sources: Sources, *, measure: str = "blend",
-    switch: float = SWITCH, candidates: int = CANDIDATES,
+    switch: float = SWITCH, candidates: int = CANDIDATES, fixed: Mapping[int, int] | None = None,
 ) -> Retrieved:  # fmt: skip
     """The training shape for every part of a draw: near points, usable faces, neighbours from one shape if close.
 
     Each part keeps its ``candidates`` nearest usable training parts (ragged, tiny or unexplained ones are passed over);
     then the sum of distances, BLEMISH times the parts' flaws and ``switch`` per touching pair from different shapes is
     lowered part by part from several starts.  Mirrored parts come from one shape.
+
+    ``fixed`` {part: training shape} are taken from there whatever they cost, if that shape has them, and the others are
+    chosen to go with them.
     """
     n_parts, partners = sources.n_parts, mirror_partners(sources)
     tied = _tied(n_parts, partners, exists)
@@ -118,6 +122,10 @@ def retrieve(
         int(g): _usable(together[g], [int(l) for l in np.flatnonzero((tied == g) & exists)], sources, candidates)
         for g in np.unique(tied[exists])
     }
+    wanted = {l: t for l, t in (fixed or {}).items() if exists[l] and sources.part_of(t, l) is not None}
+    for l, t in wanted.items():
+        if np.isfinite(together[l, t]):
+            choices[int(tied[l])] = [t]
     choices = {g: found for g, found in choices.items() if len(found)}
     for g, found in choices.items():
         for t in found:
@@ -125,6 +133,8 @@ def retrieve(
             together[g, t] += BLEMISH * sum(p.quality.blemish for p in read if p is not None)
     chosen = _choose(choices, together, tied, exists, sources.touching, switch)
     shape = np.array([chosen.get(int(tied[l]), -1) if exists[l] else -1 for l in range(n_parts)])
+    for l, t in wanted.items():  # also where its mirror image cannot be had from there
+        shape[l] = t
     distance = np.array([cost[l, shape[l]] if shape[l] >= 0 else np.inf for l in range(n_parts)])
     return Retrieved(shape, distance)
 

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from shapeforge.collection.shape import Shape
 from shapeforge.collection.surface import closest_points
 from shapeforge.synthesis.cleaning import neighbours
+from shapeforge.synthesis.depths import depths, directions_into
 from shapeforge.synthesis.embedded import DeformationGraph, build_graph
 from shapeforge.synthesis.measures import PartQuality
 from shapeforge.synthesis.parts import cut_mesh, cut_part
@@ -35,12 +36,14 @@ ANCHORS = 12
 class Anchors:
     """Where a part holds on to another one.
 
-    Its ``vertices`` (A,), and their ``distance`` (A,) from the other's surface on
-    their training shape (diagonals).
+    Its ``vertices`` (A,), their ``distance`` (A,) from the other's surface on their training shape, the direction
+    ``into`` (A, 3) the other (zero where none), and how ``deep`` (A,) they were in there (diagonals).
     """
 
     vertices: Int[np.ndarray, " A"]
     distance: Float[np.ndarray, " A"]
+    into: Float[np.ndarray, "A 3"]
+    deep: Float[np.ndarray, " A"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,20 +159,23 @@ def make_sources(
         raise ValueError(f"part: wanted indices 0..{n_parts - 1}, got {part.min()}..{part.max()}.")
     present = np.isfinite(positions).all(axis=2)
     exists = np.stack([present[:, part == l].sum(axis=1) >= FEWEST_POINTS for l in range(n_parts)], axis=1)
-    touching = _touching(positions, present & exists[:, part], part, n_parts)
+    touching = touching_shares(positions, part, n_parts)
     return Sources(
         tuple(names), positions, exists, part, tuple(part_names), touching, get_shape, face_labels, frozenset(painted)
     )
 
 
-def _touching(
-    positions: np.ndarray, present: np.ndarray, part: np.ndarray, n_parts: int, most: int = 40
+def touching_shares(
+    positions: Float[np.ndarray, "T K 3"], part: Int[np.ndarray, " K"], n_parts: int, most: int = 40
 ) -> Float[np.ndarray, "L L"]:
     """Share of shapes (of at most ``most``, evenly chosen) on which two parts touch, as far as their points can tell.
 
     Points of touching parts are as near as neighbouring points of one part are: nearer than twice the spacing
     (the 9th decile of nearest distances) of the sparser part.
     """
+    present = np.isfinite(positions).all(axis=2)
+    counts = np.stack([present[:, part == l].sum(axis=1) for l in range(n_parts)], axis=1)
+    present &= (counts >= FEWEST_POINTS)[:, part]
     both, near = np.zeros((n_parts, n_parts)), np.zeros((n_parts, n_parts))
     for t in np.unique(np.linspace(0, len(positions) - 1, min(most, len(positions))).astype(int)):
         trees, spacing = {}, {}
@@ -230,7 +236,8 @@ def _find_anchors(parts: Mapping[int, SourcePart]) -> dict[int, dict[int, Anchor
         if not asking:
             continue
         queries = np.concatenate([parts[l].vertices for l in asking])
-        distance = closest_points(as_mesh(surface.vertices, surface.triangles), queries)[2]
+        mesh = as_mesh(surface.vertices, surface.triangles)
+        _, triangle, distance = closest_points(mesh, queries)
         start = 0
         for l in asking:
             rows = start + np.arange(len(parts[l].vertices))
@@ -240,5 +247,7 @@ def _find_anchors(parts: Mapping[int, SourcePart]) -> dict[int, dict[int, Anchor
                 continue
             close = np.flatnonzero(distance[rows] <= max(CONTACT, near + 0.005))
             chosen = close[farthest_points(parts[l].vertices[close], ANCHORS)]
-            anchors[l][other] = Anchors(chosen, distance[rows[chosen]])
+            into = directions_into(parts[l].vertices, parts[l].piece, chosen, mesh, triangle[rows[chosen]])
+            deep = depths(parts[l].vertices[chosen], into, parts[l].piece[chosen], mesh)
+            anchors[l][other] = Anchors(chosen, distance[rows[chosen]], into, deep)
     return anchors

@@ -9,8 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
+
+from shapeforge.collection.shape import Mesh
+from shapeforge.collection.surface import closest_points
 
 
 @dataclass(frozen=True)
@@ -69,3 +72,55 @@ def thin_cloud(points: Float[np.ndarray, "n 3"], count: int, *, rng: np.random.G
     """``count`` of the finite points at random (all, where there are fewer): clouds of a size to compare."""
     points = points[np.isfinite(points).all(axis=1)]
     return points if len(points) <= count else points[rng.choice(len(points), count, replace=False)]
+
+
+@dataclass(frozen=True)
+class Novelty:
+    """``new``: median distance from a new shape to the nearest real one; ``real``: the same among the real shapes.
+
+    Chamfer distances in the units of the clouds.  Copies have ``new`` near 0.
+    """
+
+    new: float
+    real: float
+
+    @property
+    def ratio(self) -> float:
+        """How far new shapes are from real ones, measured by how far those are from each other."""
+        return self.new / max(self.real, 1e-12)
+
+
+def novelty(real: Sequence[np.ndarray], new: Sequence[np.ndarray]) -> Novelty:
+    """Whether new shapes are more than copies; at least 2 real clouds and 1 new one, of about as many points each."""
+    if len(real) < 2 or not len(new):
+        raise ValueError(f"real, new: wanted at least 2 and 1 shapes, got {len(real)} and {len(new)}.")
+    own = chamfer_table(real) + np.diag(np.full(len(real), np.inf))
+    return Novelty(float(np.median(chamfer_table(new, real).min(axis=1))), float(np.median(own.min(axis=1))))
+
+
+def contact_distance(
+    mesh: Mesh, label: Int[np.ndarray, " N"], touching: Float[np.ndarray, "L L"], least: float = 0.5
+) -> float | None:
+    """Mean distance between parts that touch on at least a share ``least`` of the shapes; None where there are none.
+
+    ``label`` (N,) is the part of every triangle.  Made and real shapes are measured alike: it knows of no sources.
+    """
+    pieces = {
+        int(l): Mesh(mesh.vertices, mesh.triangles[label == l], np.arange((label == l).sum()), int((label == l).sum()))
+        for l in np.unique(label) if l >= 0
+    }  # fmt: skip
+    found = []
+    for l in pieces:
+        for other in pieces:
+            if l < other and touching[l, other] >= least:
+                ways = ((l, other), (other, l))
+                away = [_nearest(pieces[a], pieces[b]) for a, b in ways]
+                found.append(min(away))
+    return float(np.mean(found)) if found else None
+
+
+def _nearest(one: Mesh, other: Mesh) -> float:
+    """Least distance from corners and middles of one mesh's triangles to the surface of another."""
+    corners = one.vertices[one.triangles]
+    queries = np.concatenate([one.vertices[np.unique(one.triangles)], corners.mean(axis=1)])
+    return float(closest_points(other, np.asarray(queries, float))[2].min())

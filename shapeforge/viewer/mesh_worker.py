@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,16 +43,38 @@ class MeshWorker:
         self._closed = False
         self._sources: tuple[Any, Any] = (None, None)
         self._retrieved: tuple[Any, np.ndarray | None] = (None, None)
+        self._current: tuple[int, bool] | None = None
+        self._besides: list[tuple[int, np.ndarray, np.ndarray]] = []
+        self._made_besides: dict[int, Made] = {}
+        self._asked_besides = 0
+        self.taken: Mapping[int, str] = {}
+        """Parts that the user wants from a shape of his choice: {part: name}."""
         self.busy = False
         self._thread = threading.Thread(target=self._run, name="meshes", daemon=True)
         self._thread.start()
 
     def ask(self, wish: int, points: Float[np.ndarray, "K 3"], exists: Bool[np.ndarray, " L"], preview: bool) -> None:
-        """Make this next; a wish not yet begun is replaced."""
+        """Make this next; a wish not yet begun is replaced, one under way is not made twice."""
         with self._wake:
+            if self._current == (wish, preview):
+                self._wish = None
+                return
             self._wish = (wish, points, exists, preview)
             self.busy = True
             self._wake.notify()
+
+    def ask_besides(self, wanted: Sequence[tuple[Float[np.ndarray, "K 3"], Bool[np.ndarray, " L"]]]) -> None:
+        """Make previews of these (points, parts) while there is nothing better to do; instead of those asked before."""
+        with self._wake:
+            self._besides = [(i, points, exists) for i, (points, exists) in enumerate(wanted)]
+            self._made_besides = {}
+            self._asked_besides += 1
+            self._wake.notify()
+
+    def made_besides(self) -> dict[int, Made]:
+        """Those made so far, by their place in what was asked."""
+        with self._wake:
+            return dict(self._made_besides)
 
     def take(self) -> Made | Exception | None:
         """The newest result not taken yet: a mesh, or what went wrong."""
@@ -70,35 +92,61 @@ class MeshWorker:
     def _run(self) -> None:
         while True:
             with self._wake:
-                while self._wish is None and not self._closed:
+                while self._wish is None and not self._besides and not self._closed:
                     self.busy = False
                     self._wake.wait()
                 if self._closed:
                     return
                 wish, self._wish = self._wish, None
+                self._current = None if wish is None else (wish[0], wish[3])
+                beside, asked = (self._besides.pop(0) if wish is None else None), self._asked_besides
+            if beside is not None:
+                self._make_beside(asked, *beside)
+                continue
             try:
                 result: Made | Exception = self._make(*wish)
             except Exception as error:  # whatever it is, the window has to say it and go on
                 result = error
             with self._wake:
-                self._result = result
+                self._result, self._current = result, None
                 self.busy = self._wish is not None
                 closed = self._closed
             if not closed:
                 self._arrived()
 
-    def _make(self, wish: int, points: np.ndarray, exists: Bool[np.ndarray, " L"], preview: bool) -> Made:
+    def _make_beside(self, asked: int, number: int, points: np.ndarray, exists: np.ndarray) -> None:
+        """One of the previews besides.  One that fails stays a cloud of points: nobody waits for it."""
+        from shapeforge.synthesis.assemble import synthesize as synthesize_mesh
+
+        try:
+            shape = synthesize_mesh(points, exists, self._sources_now(), preview=True)
+        except Exception:
+            return
+        made = Made(-1, shape, True, *self._nearest(points))
+        with self._wake:
+            wanted = asked == self._asked_besides and not self._closed
+            if wanted:
+                self._made_besides[number] = made
+        if wanted:
+            self._arrived()
+
+    def _sources_now(self) -> Any:
         from shapeforge.stages_synthesis import sources_of
-        from shapeforge.synthesis.retrieve import retrieve
 
         project = self._session.project
         if self._sources[0] != (str(project.path), project.fit_id):
             self._sources = ((str(project.path), project.fit_id), sources_of(project))
-        sources = self._sources[1]
+        return self._sources[1]
+
+    def _make(self, wish: int, points: np.ndarray, exists: Bool[np.ndarray, " L"], preview: bool) -> Made:
+        from shapeforge.synthesis.retrieve import retrieve
+
+        sources, taken = self._sources_now(), dict(self.taken)
         # While a slider moves the parts keep their origin, else they flicker from one training shape to another.
-        key = exists.tobytes()
+        key = exists.tobytes(), tuple(sorted(taken.items()))
         if not preview or self._retrieved[0] != key:
-            self._retrieved = (key, retrieve(points, exists, sources).shape)
+            fixed = {part: sources.names.index(name) for part, name in taken.items() if name in sources.names}
+            self._retrieved = (key, retrieve(points, exists, sources, fixed=fixed).shape)
         shape = synthesize_mesh(points, exists, sources, preview=preview, shapes=self._retrieved[1])
         nearest, distance = self._nearest(points)
         return Made(wish, shape, preview, nearest, distance)

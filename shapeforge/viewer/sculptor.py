@@ -5,7 +5,6 @@ No Qt here.  Points come at once (milliseconds), meshes from a worker that alway
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,14 +12,18 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
 
 from shapeforge.generative.draw import draw
 from shapeforge.generative.inference import Latents, infer, logit, sigmoid
-from shapeforge.generative.units import Direction, bundles, drive
+from shapeforge.generative.units import Direction, bundles, drive, drive_latents
+from shapeforge.stages_recipes import recipe_of, write_recipe
 from shapeforge.synthesis.assemble import SynthesizedShape
+from shapeforge.synthesis.complete import bridging_parts
+from shapeforge.synthesis.sources import touching_shares
 from shapeforge.viewer.display import Caption, Display, Mark, MeshLayer, PointLayer, View
 from shapeforge.viewer.mesh_worker import Made
-from shapeforge.viewer.palette import label_colours, part_colours
+from shapeforge.viewer.palette import heat, label_colours, part_colours
 from shapeforge.viewer.readiness import group_of
 from shapeforge.viewer.session import Session
 from shapeforge.viewer.slider_names import changes, choose_names, what_moves
@@ -33,13 +36,15 @@ PULL_STEP, PULL_COST, FARTHEST = 0.25, 0.01, 3.0  # standard deviations, diagona
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
-    """How a shape was made: the base, slider values (standard deviations) and which parts; enough to make it again."""
+    """How a shape was made: the base, slider values (standard deviations) and which parts, and from which shapes
+    the user wants some of them (``taken``); enough to make it again."""
 
     label: str
     base: Latents
     sliders: Mapping[int, float] = field(default_factory=dict)
     parts_on: Mapping[int, bool] = field(default_factory=dict)
     origin: str = ""
+    taken: Mapping[int, str] = field(default_factory=dict)
 
 
 class Sculptor:
@@ -77,6 +82,7 @@ class Sculptor:
         self.part, self.part_names = self.observations.part, tuple(self.observations.part_names)
         self.shape_names = tuple(project.fit_names)
         self.positions = self.observations.positions()
+        self.touching = touching_shares(self.positions, self.part, len(self.part_names))
         self.names = self._names()
         self.recipes, self.done = [], -1
         self.start(Recipe("mean", self.mean_base(), origin="mean"))
@@ -101,7 +107,8 @@ class Sculptor:
     def random_base(self) -> Latents:
         """A draw from the learnt distribution; the n-th draw of a project is always the same."""
         self._draws += 1
-        return draw(self.machine, self.mixture, 1, rng=np.random.default_rng([7, self._draws])).latents
+        found = draw(self.machine, self.mixture, 1, rng=np.random.default_rng([7, self._draws])).latents
+        return replace(found, exists=bridging_parts(found.exists[0], self.touching)[None])
 
     def base_of(self, name: str) -> Latents:
         """The latents of a shape of the family."""
@@ -131,10 +138,14 @@ class Sculptor:
 
     def keep(self, label: str) -> None:
         """Keep the shape in hand (sliders and parts as they are now) as a new item of the history."""
-        now = replace(
-            self.recipe, label=label, sliders=dict(self.session.sliders), parts_on=dict(self.session.parts_on)
-        )
-        self.start(now)
+        sliders, parts_on = dict(self.session.sliders), dict(self.session.parts_on)
+        self.start(replace(self.recipe, label=label, sliders=sliders, parts_on=parts_on))
+
+    def take_part(self, part: int, name: str) -> None:
+        """Ask for a part from the shape ``name`` ("": from the one that suits best again), as a new item."""
+        taken = {l: n for l, n in self.recipe.taken.items() if l != part} | ({part: name} if name else {})
+        self.keep(f"{self.part_names[part]} of {name or 'the nearest'}")
+        self.recipes[self.done] = replace(self.recipe, taken=taken)
 
     def go_to(self, index: int) -> None:
         """Back (or forth) to an item of the history."""
@@ -253,14 +264,21 @@ class Sculptor:
         return low, high
 
     def caption(self, index: int) -> str:
-        """What a slider moves on the shape in hand, from the low to the high end: measured once for its origin."""
+        """What a slider moves on the shape in hand, in words."""
+        return what_moves(self.moves(index), self.part, self.part_names, self.exists())
+
+    def moves(self, index: int) -> Float[np.ndarray, " K"]:
+        """How far (diagonals) a slider moves each point of the shape in hand, from the low to the high end.
+
+        Measured once for its origin.
+        """
         key = (self.recipe.origin, index)
         if key not in self._moves:
             if len(self._moves) > 40 * len(self.directions):
                 self._moves.clear()
             low, high = self._ends(self.recipe.base, index)
             self._moves[key] = np.linalg.norm(high - low, axis=1)
-        return what_moves(self._moves[key], self.part, self.part_names, self.exists())
+        return self._moves[key]
 
     # ---- pulling at the shape ------------------------------------------------------------------------------------
 
@@ -310,6 +328,18 @@ class Sculptor:
         there = np.isfinite(points).all(axis=1)
         colours = label_colours(np.asarray(self.part, np.int64), len(self.part_names))
         return PointLayer("points", points[there], colours[there], size)
+
+    def heated(
+        self, layer: MeshLayer | PointLayer, points: Float[np.ndarray, "K 3"], index: int
+    ) -> MeshLayer | PointLayer:
+        """The layer, each place as hot as a slider moves the nearest of the shape's ``points``."""
+        there = np.isfinite(points).all(axis=1)
+        moves = self.moves(index)[there]
+        share = moves / max(float(np.quantile(moves, 0.98)) if len(moves) else 0.0, 1e-9)
+        if isinstance(layer, PointLayer):
+            return replace(layer, colours=heat(share))
+        nearest = cKDTree(points[there]).query(layer.vertices[layer.triangles].mean(axis=1))[1]
+        return replace(layer, colours=heat(share[nearest]))
 
     def mesh_layer(self, shape: SynthesizedShape) -> MeshLayer:
         """A made mesh in its parts' colours."""
@@ -363,15 +393,10 @@ def export_mesh(path: Path, sculptor: Sculptor, shape: SynthesizedShape, recipe:
         path, shape.vertices, np.asarray(shape.triangles)[order], np.asarray(shape.part)[order], shape.part_names,
         part_colours(len(shape.part_names)),
     )  # fmt: skip
-    beside = path.with_name(path.name + ".recipe.json")
-    content = {
-        "version": 1, "label": recipe.label, "origin": recipe.origin, "machine": sculptor.session.project.machine_id,
-        "sliders": {sculptor.names[i]: value for i, value in sculptor.session.sliders.items()},
-        "parts": [n for n, on in zip(sculptor.part_names, sculptor.exists(), strict=True) if on],
-        "sources": list(shape.sources), "measures": json.loads(json.dumps(dict(shape.measures), default=float)),
-        "hidden": [np.round(layer[0].astype(float), 5).tolist() for layer in sculptor._layers(recipe.base)],
-    }  # fmt: skip
-    temporary = beside.with_name(beside.name + ".part")
-    temporary.write_text(json.dumps(content, indent=1), "utf-8")
-    temporary.replace(beside)
-    return beside
+    settings = {i: value * sculptor.unit(i) for i, value in recipe.sliders.items() if value}
+    _, latents = drive_latents(
+        sculptor.machine, recipe.base, settings, sculptor.exists(recipe), directions=sculptor.directions
+    )
+    words = {"label": recipe.label, "origin": recipe.origin}
+    sliders = {sculptor.names[i]: value for i, value in recipe.sliders.items()}
+    return write_recipe(path, recipe_of(sculptor.session.project, latents, shape, **words, sliders=sliders))

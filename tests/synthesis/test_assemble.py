@@ -11,7 +11,9 @@ from shapeforge.collection.surface import closest_points
 from shapeforge.synthesis import bending
 from shapeforge.synthesis.assemble import synthesize
 from shapeforge.synthesis.bending import bend, count_folds, start_part
-from shapeforge.synthesis.contacts import carry_along, choose_contacts, hold_contacts, join_islands
+from shapeforge.synthesis.contacts import carry_along, choose_contacts, contact_depths, hold_contacts, join_islands
+from shapeforge.synthesis.depths import depths, pushed_back
+from shapeforge.synthesis.measures import inverted_triangles
 from shapeforge.synthesis.surfaces import as_mesh
 
 BOTH = np.array([True, True])
@@ -120,3 +122,54 @@ def test_what_would_fold_is_bent_stiffer(tables, sources, monkeypatch) -> None:
     assert count_folds(plain, plain.x) > 10
     assert count_folds(stiffer, stiffer.x) == 0
     assert count_folds(part, part.start) == 0
+
+
+def test_legs_that_the_draw_drove_through_the_top_stop_under_it(tables, sources) -> None:
+    low = tables[0].points.copy()
+    low[:384] -= [0, 0.05, 0]  # the top is .03 thick: the legs would come out above it
+    made = synthesize(low, BOTH, sources, shapes=np.array([0, 0]))
+    legs, top = (np.unique(made.triangles[made.part == l]) for l in (1, 0))
+    above = made.vertices[legs, 1].max() - made.vertices[top, 1].max()
+    assert above < -0.01
+    assert made.measures["too_deep"] < 0.008 and list(made.measures["depths"]) == ["top – legs"]
+    loose = {l: start_part(sources.part_of(0, l), low) for l in (0, 1)}
+    assert contact_depths(loose, [(0, 1)])[0, 1] > 0.03  # without the contacts' say
+
+
+def test_a_direction_into_the_other_part_is_found_and_depth_is_the_way_back(sources) -> None:
+    anchors = sources.part_of(0, 1).anchors[0]
+    np.testing.assert_allclose(anchors.into, np.tile([0.0, 1.0, 0.0], (len(anchors.vertices), 1)), atol=1e-9)
+    np.testing.assert_allclose(anchors.deep, 0, atol=1e-5)
+    plate = as_mesh(np.array([[-1, 0, -1], [1, 0, -1], [0, 0, 1.0]]), np.array([[0, 1, 2]], np.int32))
+    points = np.array([[0, 0.04, 0], [0, -0.04, 0], [0, 0.5, 0], [0, 0.04, 0]])
+    into = np.array([[0, 1.0, 0], [0, 1.0, 0], [0, 1.0, 0], [0, 0, 0]])
+    np.testing.assert_allclose(depths(points, into, np.arange(4), plate), [0.04, 0, 0, 0], atol=1e-6)
+
+
+def test_a_short_shelf_stretches_to_both_sides(tables, sources) -> None:
+    part = start_part(sources.part_of(0, 0), tables[0].points)
+    at = part.source.vertices
+    ends = np.flatnonzero(np.abs(at[:, 0]) > np.abs(at[:, 0]).max() - 1e-6)
+    pulled = {int(v): at[v] + [0.05 * np.sign(at[v, 0]), 0, 0] for v in ends}
+    shift = (carry_along(part, pulled).targets - part.targets)[:, 0]
+    right, middle = part.source.handles[:, 0] > 0.9 * at[:, 0].max(), np.abs(part.source.handles[:, 0]) < 0.05
+    assert shift[right].min() > 0.03 and np.abs(shift[middle]).max() < 0.01
+
+
+def test_triangles_without_a_side_do_not_fold() -> None:
+    rest = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1], [0.5, 0, -1e-7]])
+    flat = np.array([[0, 2, 1], [0, 1, 3]], np.int32)
+    turned = rest + [[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 3e-7]]
+    assert inverted_triangles(rest, turned, flat) == 0
+    rest[3, 2], turned[3, 2] = -0.1, 0.1
+    assert inverted_triangles(rest, turned, flat) == 1
+
+
+def test_what_is_let_in_or_far_through_is_not_pushed_back() -> None:
+    into, piece, on = np.tile([0.0, 1.0, 0.0], (4, 1)), np.zeros(4, int), np.zeros(4)
+    np.testing.assert_allclose(pushed_back(np.full(4, 0.03), on, into, piece, 0.003), 0.03)
+    assert not pushed_back(np.full(4, 0.08), on, into, piece, 0.003).any()
+    assert not pushed_back(np.full(4, 0.03), np.full(4, 0.02), into, piece, 0.003).any()
+    rim = pushed_back(np.array([0.03, 0.03, 0.0, 0.02]), on, into, piece, 0.003)
+    np.testing.assert_allclose(rim, [0.03, 0.03, 0.03, 0.02])  # the ray of one missed: it goes with the rest
+    assert not pushed_back(np.array([0.03, 0.0, 0.0, 0.0]), on, into, piece, 0.003).any()

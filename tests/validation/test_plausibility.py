@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shapeforge.validation.plausibility import chamfer, chamfer_table, plausibility, thin_cloud
+from shapeforge.collection.shape import Mesh
+from shapeforge.validation.plausibility import (
+    chamfer,
+    chamfer_table,
+    contact_distance,
+    novelty,
+    plausibility,
+    thin_cloud,
+)
 
 
 def boxes(rng: np.random.Generator, n: int, sizes: np.ndarray | None = None) -> list[np.ndarray]:
@@ -48,3 +56,24 @@ def test_thinned_clouds_are_finite_and_sized() -> None:
     cloud[:10] = np.nan
     assert thin_cloud(cloud, 25, rng=rng).shape == (25, 3)
     assert np.isfinite(thin_cloud(cloud, 100, rng=rng)).all() and len(thin_cloud(cloud, 100, rng=rng)) == 40
+
+
+def test_copies_are_not_new_and_strangers_are() -> None:
+    rng = np.random.default_rng(2)
+    real = boxes(rng, 12)
+    copies, strangers = novelty(real, real[:5]), novelty(real, [cloud * 2 for cloud in real[:5]])
+    assert copies.new == 0 and copies.ratio == 0 and copies.real > 0.005
+    assert strangers.real == copies.real and strangers.ratio > 2
+    assert novelty(real, boxes(rng, 12)).ratio == pytest.approx(1, abs=0.5)
+    with pytest.raises(ValueError, match="at least 2 and 1"):
+        novelty(real[:1], real)
+
+
+def test_the_distance_of_parts_that_should_touch() -> None:
+    plate = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1.0]])
+    vertices = np.concatenate([plate, plate + [0, 0.02, 0], plate + [0, 0.5, 0]])
+    mesh = Mesh(vertices, np.arange(9).reshape(3, 3).astype(np.int32), np.arange(3), 3)
+    touching = np.array([[0, 1, 0.2], [1, 0, 0.5], [0.2, 0.5, 0]])
+    assert contact_distance(mesh, np.array([0, 1, 2]), touching) == pytest.approx((0.02 + 0.48) / 2)
+    assert contact_distance(mesh, np.array([0, 1, 0]), touching) == pytest.approx(0.02)
+    assert contact_distance(mesh, np.array([0, -1, 0]), touching) is None

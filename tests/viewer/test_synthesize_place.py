@@ -8,13 +8,17 @@ import threading
 
 import numpy as np
 import pytest
+from PIL import Image
 from PySide6.QtCore import QPoint, Qt
 
 from shapeforge.generative.units import drive
+from shapeforge.stages_recipes import read_recipe, remake
 from shapeforge.store import Project
+from shapeforge.viewer import movies
 from shapeforge.viewer.display import MeshLayer, PointLayer
 from shapeforge.viewer.mesh_worker import MeshWorker
-from shapeforge.viewer.sculptor import Recipe, Sculptor, measure_words
+from shapeforge.viewer.palette import heat
+from shapeforge.viewer.sculptor import Recipe, Sculptor, export_mesh, measure_words
 from shapeforge.viewer.session import Session
 from shapeforge.viewer.slider_names import changes, choose_names, what_moves
 from tests.viewer.conftest import paint_exemplars, run_stage
@@ -167,6 +171,9 @@ def test_the_worker_makes_the_newest_wish_only(sculptor, monkeypatch):
     assert begun.wait(10)
     for wish in (2, 3, 4):
         worker.ask(wish, points, exists, False)
+    worker.ask(1, points, exists, False)  # is under way: nothing else is wanted any more
+    assert worker._wish is None
+    worker.ask(4, points, exists, False)
     go.set()
     assert arrived.acquire(timeout=10) and arrived.acquire(timeout=10)
     assert made == [1, 4] and isinstance(worker.take(), RuntimeError) and worker.take() is None
@@ -392,3 +399,99 @@ def test_a_caption_is_measured_on_the_shape_in_hand(sculptor):
             )
             far = np.linalg.norm(np.asarray(high) - np.asarray(low), axis=1)
             assert sculptor.caption(index) == what_moves(far, sculptor.part, sculptor.part_names, sculptor.exists())
+
+
+# ---- ways to look at it ------------------------------------------------------------------------------------------
+
+
+def test_pointing_at_a_slider_shows_what_it_moves_and_leaving_shows_the_parts(place, qtbot):
+    wait_for_mesh(place, qtbot)
+    before = place.view.shown.views[0].layers[0].colours.copy()
+    place.inspector.rows[0].entered.emit()
+    hot = place.view.shown.views[0].layers[0]
+    moves = place.sculptor.moves(0)
+    there = np.isfinite(place._points).all(axis=1)
+    centres = np.asarray(hot.vertices)[hot.triangles].mean(axis=1)
+    nearest = np.linalg.norm(centres[:, None] - place._points[there][None], axis=2).argmin(axis=1)
+    own = moves[there][nearest]
+    assert np.array_equal(np.unique(hot.colours[own <= own.min()], axis=0), heat(own[own <= own.min()] / np.quantile(
+        moves[there], 0.98))[:1])  # fmt: skip
+    brightness = hot.colours.astype(float).sum(axis=1)
+    assert np.corrcoef(brightness, own)[0, 1] < -0.8, "hot is dark"
+    place.inspector.rows[0].left.emit()
+    assert np.array_equal(place.view.shown.views[0].layers[0].colours, before)
+
+
+def test_the_view_turns_by_itself_until_told_to_stop(place, qtbot):
+    camera = place.view.scene.camera
+    start, focus = np.array(camera.GetPosition()), np.array(camera.GetFocalPoint())
+    place.actions.run("spin")
+    qtbot.waitUntil(lambda: np.linalg.norm(np.array(camera.GetPosition()) - start) > 0.05, timeout=10_000)
+    place.actions.run("spin")
+    stopped = np.array(camera.GetPosition())
+    qtbot.wait(150)
+    assert np.array_equal(np.array(camera.GetPosition()), stopped)
+    assert stopped[1] == pytest.approx(start[1], abs=1e-3) and np.allclose(camera.GetFocalPoint(), focus, atol=1e-6)
+
+
+def test_a_movie_is_one_turn(place, qtbot, tmp_path, monkeypatch):
+    wait_for_mesh(place, qtbot)
+    monkeypatch.setattr(place.actions.desk, "choose_save", lambda title, name: tmp_path / "chair.gif")
+    small = movies.turntable
+    monkeypatch.setattr(movies, "turntable", lambda layer, theme: small(layer, 6, (90, 90), theme))
+    assert place.actions.run("export_movie")
+    with Image.open(tmp_path / "chair.gif") as movie:
+        assert movie.n_frames == 6 and movie.size == (90, 90) and movie.info["loop"] == 0
+        first = np.asarray(movie.convert("RGB")).astype(int)
+        movie.seek(3)
+        assert np.abs(np.asarray(movie.convert("RGB")).astype(int) - first).max() > 30
+    with pytest.raises(ValueError, match="wanted an ending"):
+        movies.write_movie(tmp_path / "chair.avi", [np.zeros((4, 4, 3), np.uint8)])
+
+
+def test_a_draw_of_the_gallery_is_taken_with_a_click_and_can_be_undone(place, qtbot):
+    wait_for_mesh(place, qtbot)
+    assert place.actions.run("gallery")
+    gallery = place.shows.gallery
+    assert gallery.isVisibleTo(place.centre) and not place.view.isVisibleTo(place.centre) and len(gallery.cards) == 12
+    qtbot.waitUntil(lambda: len(gallery.made) >= 3, timeout=LONG)
+    wanted = gallery.recipes[1]
+    qtbot.mouseClick(gallery.cards[1], LEFT, NONE, QPoint(60, 60))
+    assert place.view.isVisibleTo(place.centre) and not gallery.isVisibleTo(place.centre)
+    assert np.array_equal(place.sculptor.recipe.base.hidden3, wanted.base.hidden3)
+    taken = place._points.copy()
+    place.actions.run("undo")
+    assert place.sculptor.recipe.label == "mean"
+    mean = np.nan_to_num(place.sculptor.points())
+    assert np.array_equal(np.nan_to_num(place._points), mean) and not np.array_equal(np.nan_to_num(taken), mean)
+    place.actions.run("gallery")
+    assert not np.array_equal(gallery.recipes[1].base.hidden3, wanted.base.hidden3), "other draws each time"
+    qtbot.keyClick(gallery, Qt.Key.Key_Escape)
+    assert place.view.isVisibleTo(place.centre)
+
+
+def test_a_part_is_taken_from_a_shape_of_ones_choice(place, qtbot):
+    wait_for_mesh(place, qtbot)
+    part = int(np.flatnonzero(place.sculptor.exists())[0])
+    having = np.flatnonzero(place.sculptor.observations.exists[:, part])
+    used = place.made.shape.sources[part]
+    other = next(place.sculptor.shape_names[i] for i in having if place.sculptor.shape_names[i] != used)
+    place.inspector.part_to_take._choose(str(part))
+    place.inspector.take_from._choose(other)
+    assert place.sculptor.recipe.taken == {part: other} and place.sculptor.recipe.label.endswith(f"of {other}")
+    wait_for_mesh(place, qtbot)
+    assert place.made.shape.sources[part] == other
+    place.actions.run("undo")
+    wait_for_mesh(place, qtbot)
+    assert place.sculptor.recipe.taken == {} and place.made.shape.sources[part] == used
+    assert place.inspector.take_from.value_text() == "the nearest"
+
+
+def test_what_the_window_exports_is_made_again_by_its_recipe(place, qtbot, tmp_path, sources):
+    place.session.sliders = {0: 1.2}
+    place._let_go(0)
+    wait_for_mesh(place, qtbot)
+    beside = export_mesh(tmp_path / "chair.ply", place.sculptor, place.made.shape, place.sculptor.recipe)
+    again = remake(place.session.project, read_recipe(beside), sources)
+    assert np.array_equal(again.triangles, place.made.shape.triangles)
+    np.testing.assert_array_equal(again.vertices, place.made.shape.vertices)

@@ -12,7 +12,19 @@ from shapeforge.viewer.palette import part_colours
 from shapeforge.viewer.qt.bind import Binding, action_button
 from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.synthesize_parts import DirectionRow, FamilyMap
-from shapeforge.viewer.qt.widgets import Swatch, Switch, button, clear, column, label, row, scrolled, section, separator
+from shapeforge.viewer.qt.widgets import (
+    Choice,
+    Swatch,
+    Switch,
+    button,
+    clear,
+    column,
+    label,
+    row,
+    scrolled,
+    section,
+    separator,
+)
 from shapeforge.viewer.sculptor import Sculptor
 from shapeforge.viewer.session import Session
 
@@ -24,6 +36,8 @@ class SynthesizeInspector(QFrame):
     slid = Signal(int, float)
     let_go = Signal(int)
     switched = Signal(int, bool)
+    hovered = Signal(object)
+    taken = Signal(int, str)
 
     def __init__(self, session: Session, sculptor: Sculptor, actions: Actions, binding: Binding) -> None:
         super().__init__()
@@ -56,13 +70,19 @@ class SynthesizeInspector(QFrame):
         )
         self.part_rows = column(spacing=8)
         self.part_note = label("", "caption_off", wrap=True)
-        parts = section(label("Parts", "heading"), self.part_rows, self.part_note, line=False)
+        self.part_to_take = Choice("take the", (), "", tooltip="A part to take from a shape of your choice")
+        self.part_to_take.chosen.connect(lambda part: self._show_taken(int(part)))
+        self.take_from = Choice("from", (), "", tooltip="The shape whose part is bent to this place")
+        self.take_from.chosen.connect(lambda name: self.taken.emit(self._part, name))
+        self._part = 0
+        mixing = row(self.part_to_take, self.take_from, None, spacing=4)
+        parts = section(label("Parts", "heading"), self.part_rows, self.part_note, mixing, line=False)
         self.export = action_button(actions, "export_mesh", binding, kind="primary")
         foot = QFrame()
         foot.setObjectName("bar")
         foot.setLayout(
             column(
-                self.export,
+                row(self.export, action_button(actions, "export_movie", binding, text="", kind="tool"), spacing=6),
                 label("glb, part names and a recipe to remake it", "caption"),
                 spacing=8,
                 margins=(16, 12, 16, 14),
@@ -92,6 +112,7 @@ class SynthesizeInspector(QFrame):
             one.caption.setText(self.sculptor.caption(index))
         for part, switch in self.switches.items():
             switch.setChecked(bool(exists[part]))
+        self._show_taken(self._part)
         if len(self.map.places) == len(self.sculptor.shape_names):
             names = self.sculptor.shape_names
             ends = None if between is None else (names.index(between[0]), names.index(between[1]))
@@ -116,6 +137,8 @@ class SynthesizeInspector(QFrame):
             )  # fmt: skip
             one.moved.connect(lambda value, index=index: self.slid.emit(index, value))
             one.released.connect(lambda index=index: self.let_go.emit(index))
+            one.entered.connect(lambda index=index: self.hovered.emit(index))
+            one.left.connect(lambda: self.hovered.emit(None))
             one.locked.connect(lambda on, index=index: self._lock(index, on))
             (self.direction_rows if index < sculptor.coarse else self.finer_rows.layout()).addWidget(one)
             self.rows.append(one)
@@ -150,6 +173,19 @@ class SynthesizeInspector(QFrame):
         fixed = [sculptor.part_names[part] for part in shown if always[part]]
         words = " and ".join(([", ".join(fixed[:-1])] if fixed[:-1] else []) + fixed[-1:])
         self.part_note.setText(f"{words.capitalize()}: on every shape of the family." if fixed else "")
+
+    def _show_taken(self, part: int) -> None:
+        """Offer the shapes that have the part, and show which it is wanted from."""
+        sculptor = self.sculptor
+        self._part = part if part in self.switches else next(iter(self.switches), 0)
+        self.part_to_take.set_options(
+            tuple((str(l), sculptor.part_names[l]) for l in self.switches), str(self._part)
+        )  # fmt: skip
+        having = sculptor.observations.exists[:, self._part]
+        names = tuple(n for n, has in zip(sculptor.shape_names, having, strict=True) if has)
+        self.take_from.set_options(
+            (("", "the nearest"), *((n, n) for n in names)), sculptor.recipe.taken.get(self._part, "")
+        )
 
     def _toggle_finer(self) -> None:
         self.finer_rows.setVisible(not self.finer_rows.isVisible())

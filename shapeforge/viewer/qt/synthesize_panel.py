@@ -20,6 +20,7 @@ from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.paint_parts import HistoryStrip
 from shapeforge.viewer.qt.synthesize_inspector import SynthesizeInspector
 from shapeforge.viewer.qt.synthesize_parts import BetweenBar
+from shapeforge.viewer.qt.synthesize_shows import Shows
 from shapeforge.viewer.qt.thumbnails import Thumbnails
 from shapeforge.viewer.qt.widgets import (
     Segments,
@@ -58,6 +59,7 @@ class SynthesizePlace:
         self._points = np.zeros((0, 3))
         self._between: tuple[str, str] | None = None
         self._share = 0.5
+        self._recipe: Recipe | None = None
         self._old_history = session.history
         self._add_actions()
         self._build()
@@ -67,6 +69,7 @@ class SynthesizePlace:
             carrier.setParent(self.centre)
         self.thumbnails.arrived.connect(self._show_pictures)
         self.binding.on(("sliders", "parts_on"), self._wanted, now=False)
+        self.binding.on(("edit_count",), self._follow_history, now=False)
         self.binding.on(("theme",), self._show, now=False)
         self.binding.on(("data",), self._reload, now=False)
 
@@ -88,6 +91,10 @@ class SynthesizePlace:
         add("reset_sliders", "Reset", self._reset, "", "All directions that are not locked back to the middle", "")
         add("export_mesh", "Export mesh…", self._export, "Ctrl+E", "glb, ply, obj or stl, with part names and a recipe",
             "export", self._can_export)  # fmt: skip
+        add("gallery", "Gallery", lambda: self.shows.show_gallery(True), "G", "A dozen draws to choose from", "grid")
+        add("spin", "Turn around", lambda: self.shows.toggle_spin(), "T", "Turns by itself; again to stop", "rotate")
+        add("export_movie", "Export movie…", lambda: self.shows.export_movie(), "", "One turn: gif, webp or png",
+            "play", self._can_export)  # fmt: skip
         add("home_synthesize", "Look from the front", lambda: self.view.fit(), "Home", "The usual view", "home")
 
     def _build(self) -> None:
@@ -100,8 +107,10 @@ class SynthesizePlace:
         self.between.moved.connect(self._between_moved)
         self.between.released.connect(self._between_released)
         self.between.ends_chosen.connect(self._ends_chosen)
-        whole = column(self.view, self.between, spacing=0)
+        self.shows = Shows(self)
+        whole = column(self.view, self.shows.gallery, self.between, spacing=0)
         whole.setStretch(0, 1)
+        whole.setStretch(1, 1)
         self.centre = framed(whole, "centre")
         self.centre.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.between_button = action_button(self.actions, "between", self.binding)
@@ -115,8 +124,10 @@ class SynthesizePlace:
                 action_button(self.actions, "random_shape", self.binding),
                 self.from_button,
                 self.between_button,
+                action_button(self.actions, "gallery", self.binding),
                 None,
                 self.shown_as,
+                action_button(self.actions, "spin", self.binding, text="", kind="tool"),
                 action_button(self.actions, "home_synthesize", self.binding, text="", kind="tool"),
                 margins=(16, 0, 16, 0),
             )  # fmt: skip
@@ -126,6 +137,8 @@ class SynthesizePlace:
         self.inspector.slid.connect(self._slid)
         self.inspector.let_go.connect(self._let_go)
         self.inspector.switched.connect(self._switch)
+        self.inspector.hovered.connect(self.shows.heat)
+        self.inspector.taken.connect(self._take_part)
         self.strip = HistoryStrip("History")
         self.strip.chosen.connect(self._go_to)
 
@@ -147,6 +160,7 @@ class SynthesizePlace:
         """Let go of the history."""
         self._entered = False
         self._preview_timer.stop()
+        self.shows.spin.set_on(False)
         self.session.history = self._old_history
 
     def close(self) -> None:
@@ -178,6 +192,7 @@ class SynthesizePlace:
         if self._between is not None and self.sculptor.recipe.origin != " – ".join(self._between):
             self._end_between()  # undo or the history led to a shape that is not between A and B
         self._wish += 1
+        self._recipe = self.sculptor.recipe
         self._points = self.sculptor.points()
         self.inspector.show_values(self._points, self._between)
         self.made = None
@@ -187,6 +202,12 @@ class SynthesizePlace:
         else:
             self._ask()
 
+    def _follow_history(self) -> None:
+        """Undo and Redo lead to another base, or other parts taken, while sliders and switches may stay the same."""
+        if self._entered and self.sculptor.has_machine and self.sculptor.recipe is not self._recipe:
+            self._wanted()
+            self._show_history()
+
     @property
     def _dragging(self) -> bool:
         held = self.handles.held is not None
@@ -194,11 +215,13 @@ class SynthesizePlace:
 
     def _ask(self, *, preview: bool = False) -> None:
         if self.worker is not None and self._entered and self.sculptor.has_machine:
+            self.worker.taken = self.sculptor.recipe.taken
             self.worker.ask(self._wish, self._points, self.sculptor.exists(), preview)
             self._show_words()
 
     def _read_mail(self) -> None:
         result = None if self.worker is None else self.worker.take()
+        self.shows.show_pictures()
         if isinstance(result, Exception):
             self.session.say(f"The mesh could not be made: {result}", "error")
             self._show_words()
@@ -237,6 +260,11 @@ class SynthesizePlace:
     def _switch(self, part: int, on: bool) -> None:
         self.session.parts_on = {**self.session.parts_on, part: on}
         self._remember(f"{self.sculptor.part_names[part]} {'on' if on else 'off'}")
+
+    def _take_part(self, part: int, name: str) -> None:
+        self.sculptor.take_part(part, name)
+        self._wanted()
+        self._after_step()
 
     def _start(self, recipe: Recipe) -> None:
         kept = {i: v for i, v in self.session.sliders.items() if i in self.inspector.locked}
@@ -340,6 +368,11 @@ class SynthesizePlace:
     # ---- showing -------------------------------------------------------------------------------------------------
 
     def _layers(self) -> tuple[Any, ...]:
+        layers = self._plain_layers()
+        hot = self.shows.heated
+        return layers if hot is None else tuple(self.sculptor.heated(one, self._points, hot) for one in layers)
+
+    def _plain_layers(self) -> tuple[Any, ...]:
         points_wanted = self.shown_as.button("points").isChecked()
         if self.made is not None and not points_wanted:
             return (self.sculptor.mesh_layer(self.made.shape),)
@@ -371,6 +404,7 @@ class SynthesizePlace:
         refresh(self.strip, self.session.theme)
 
     def _show_pictures(self) -> None:
+        self.shows.show_pictures()
         self.strip.refresh_pictures(self._picture, self.sculptor.done)
         self._show_ends()
 

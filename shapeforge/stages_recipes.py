@@ -1,0 +1,105 @@
+"""Recipes: what it takes to make a new shape again, as JSON beside its mesh."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from shapeforge.stages import StageError
+from shapeforge.store import Project
+from shapeforge.store_arrays import write_text
+
+ENDING = ".recipe.json"
+
+
+def recipe_of(project: Project, latents: Any, shape: Any, **more: Any) -> dict[str, Any]:
+    """What is written: the latents (of one shape, sliders included), its parts, where each comes from, and ``more``.
+
+    ``shape`` is the ``SynthesizedShape``.  Numbers keep all their digits: the mesh comes out the same to the bit.
+    """
+    names = tuple(shape.part_names)
+    return {
+        "format": "shapeforge recipe", "version": 1, "project": project.name, "machine": project.machine_id,
+        "fit": project.fit_id, **more, "parts": [n for n, on in zip(names, latents.exists[0], strict=True) if on],
+        "sources": {n: s for n, s in zip(names, shape.sources, strict=True) if s},
+        "measures": json.loads(json.dumps(dict(shape.measures), default=float)),
+        "hidden": [[float(x) for x in layer[0]] for layer in (latents.hidden1, latents.hidden2, latents.hidden3)],
+    }  # fmt: skip
+
+
+def write_recipe(mesh: Path, recipe: Mapping[str, Any]) -> Path:
+    """Write a recipe beside the mesh file ``mesh``; its path."""
+    path = mesh.with_name(mesh.name + ENDING)
+    write_text(path, json.dumps(dict(recipe), indent=1))
+    return path
+
+
+def read_recipe(path: str | Path) -> dict[str, Any]:
+    """A recipe from its file.  StageError names the file and what is wrong with it."""
+    try:
+        found = json.loads(Path(path).read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise StageError(f"{path}: wanted a recipe that was written beside a mesh: {error}") from error
+    if not isinstance(found, dict) or found.get("format") != "shapeforge recipe" or found.get("version") != 1:
+        raise StageError(
+            f"{path}: wanted a recipe of version 1, as `shapeforge synthesize` writes it beside each mesh."
+        )
+    return found
+
+
+def remake(project: Project, recipe: Mapping[str, Any], sources: Any = None) -> Any:
+    """The ``SynthesizedShape`` of a recipe.  ``sources`` of the project may be given if they are at hand.
+
+    Raises StageError if the project has another machine than the recipe's, or lacks its parts or shapes.
+    """
+    from shapeforge.generative.inference import Latents
+    from shapeforge.stages_synthesis import sources_of
+    from shapeforge.synthesis.assemble import synthesize
+
+    machine = project.machine()
+    if machine is None or project.machine_id != recipe["machine"] or project.fit_id != recipe["fit"]:
+        raise StageError(
+            f"{recipe['project']}: the recipe is of the machine {recipe['machine']} of the fit {recipe['fit']}, but "
+            f"{project.path} has {project.machine_id} of {project.fit_id}. Open the project that it was made with."
+        )
+    sources = sources_of(project) if sources is None else sources
+    exists = np.array([name in recipe["parts"] for name in sources.part_names])
+    hidden = [np.array(layer, machine.bias1.dtype)[None] for layer in recipe["hidden"]]
+    points = points_of(machine, Latents(*hidden, exists[None]))
+    taken = [recipe["sources"].get(name, "") for name in sources.part_names]
+    unknown = sorted({name for name in taken if name and name not in sources.names})
+    if unknown:
+        raise StageError(f"sources: the project has no fitted shape {', '.join(unknown)}")
+    shapes = np.array([sources.names.index(name) if name else -1 for name in taken])
+    return synthesize(points, exists, sources, shapes=shapes)
+
+
+def points_of(machine: Any, latents: Any) -> Float[np.ndarray, "K 3"]:
+    """Points (K, 3) of one shape's latents in normal coordinates, NaN where a part is absent.
+
+    Always of one shape by itself: a product of many rows may round otherwise.
+    """
+    from shapeforge.generative.inference import decode
+
+    return np.asarray(machine.to_positions(decode(machine, latents), latents.exists)[0], np.float64)
+
+
+def remake_files(project: Project, recipes: Sequence[str | Path], out: str | Path, ending: str) -> list[Path]:
+    """Meshes, labels and recipes of all recipe files, written into ``out``; the paths of the meshes."""
+    from shapeforge.stages_synthesis import FORMATS, as_record, fitted_part_names, sources_of, write_labelled
+
+    if ending not in FORMATS:
+        raise StageError(f"format: wanted one of {', '.join(FORMATS)}, got {ending!r}")
+    read = [(Path(path), read_recipe(path)) for path in recipes]
+    sources, written = sources_of(project), []
+    for path, recipe in read:
+        name = path.name.removesuffix(ENDING).rpartition(".")[0] or path.stem
+        write_labelled(Path(out), name, as_record(remake(project, recipe, sources)), fitted_part_names(project), ending)
+        written.append(Path(out) / f"{name}.{ending}")
+        write_recipe(written[-1], recipe)
+    return written
