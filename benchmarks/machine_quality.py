@@ -45,7 +45,7 @@ def run(family_name: str, count: int, held_out: int, n_points: int, seed: int, e
     sampled, latents = sampled_reconstruction(machine, test, rng=rng)
     errors = {
         "H1": reconstruction_error(machine, test, decode(machine, latents)),
-        "H3 probabilities": reconstruction_error(machine, test, decode(machine, latents.hidden3)),
+        "H3 probabilities": reconstruction_error(machine, test, decode(machine, latents.top)),
         "H3 sampled": reconstruction_error(machine, test, sampled),
     }
     for components in (3, 5, 10):

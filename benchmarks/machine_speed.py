@@ -39,8 +39,8 @@ def run(n_points: int, n_shapes: int, seed: int) -> dict:
     mixture = fit_mixture(machine, observations, rng=rng)
     found = directions(machine, mixture, observations)
     one = infer(machine, observations.values[:1], observations.exists[:1])
-    prior = TopPrior(np.zeros_like(machine.bias3), np.zeros_like(machine.existence_top))
-    uniform = rng.random((n_shapes, machine.sizes[2]), dtype=np.float32)
+    prior = TopPrior(np.zeros_like(machine.biases[-1]), np.zeros_like(machine.existence_top))
+    uniform = rng.random((n_shapes, machine.sizes[-1]), dtype=np.float32)
     batch = Batch(observations.values, observations.exists, np.ones(len(counts)), uniform=uniform)
     timed = {
         "slider to points": lambda: drive(machine, one, {0: 1.0, 1: -0.5}, directions=found),

@@ -1,6 +1,6 @@
 """Drawing new shapes: a mixture over the top layer and the existence of parts, then top-down mean field (§5).
 
-Independent units, or Gibbs sampling between H2 and H3, draw clumps.  A mixture of Bernoullis fitted to (q(H3), E) of
+Independent units, or Gibbs sampling between H2 and H3, draw clumps.  A mixture of Bernoullis fitted to (q(top), E) of
 the training shapes holds the modes apart, and draws the parts and the top code of a shape from the *same* component.
 """
 
@@ -23,7 +23,7 @@ DOUBT = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """C components over H3 and E: ``weight`` (C,), ``top`` (C, O) and ``existence`` (C, L) probabilities.
+    """C components over the top layer and E: ``weight`` (C,), ``top`` (C, O) and ``existence`` (C, L) probabilities.
 
     ``patterns`` (S, L) are the combinations of parts seen in training and ``pattern_weight`` (C, S) how often each
     component has them: draws keep to them, so that no chair stands on two kinds of legs.
@@ -62,12 +62,12 @@ def fit_mixture(
     components: int | None = None,
     rounds: int = 60,
 ) -> Mixture:
-    """EM of a mixture of Bernoullis on (q(H3), E) of the training shapes.
+    """EM of a mixture of Bernoullis on (q(top), E) of the training shapes.
 
     ``components`` defaults to one per shape, at most 100: fewer draw less variety and were easier to tell from real
     shapes.  Starts from shapes picked far apart (k-means++).
     """
-    q = infer(machine, observations.values, observations.exists).hidden3.astype(float)
+    q = infer(machine, observations.values, observations.exists).top.astype(float)
     exists = observations.exists.astype(float)
     n = len(q)
     count = min(n, MOST_COMPONENTS if components is None else components)
@@ -124,14 +124,13 @@ def draw(
     else:
         states = np.broadcast_to(exists, (n, len(exists))).copy()
     probability = sigmoid(logit(mixture.top[chosen]) / temperature)
-    top = (rng.random(probability.shape) < probability).astype(machine.bias1.dtype)
+    top = (rng.random(probability.shape) < probability).astype(machine.dtype)
     return shape_of_top(machine, top, states)
 
 
 def shape_of_top(machine: BetaShapeMachine, top: Float[np.ndarray, "n O"], exists: Bool[np.ndarray, "n L"]) -> Draw:
-    """The shapes of given H3 values (n, O), binary or probabilities, with these parts."""
-    hidden1, hidden2 = descend(machine, top)
-    latents = Latents(hidden1, hidden2, top.astype(hidden1.dtype), exists)
+    """The shapes of given values of the top layer (n, O), binary or probabilities, with these parts."""
+    latents = Latents(descend(machine, top), exists)
     return Draw(machine.to_positions(decode(machine, latents), exists), exists, latents)
 
 

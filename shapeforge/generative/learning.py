@@ -12,8 +12,8 @@ from threadpoolctl import threadpool_limits
 
 from shapeforge.generative._kernels import adam_step
 from shapeforge.generative.finetuning import Batch, TopPrior, loss_and_gradient
-from shapeforge.generative.inference import Latents, decode, infer, sigmoid
-from shapeforge.generative.machine import BetaShapeMachine, project, recentre, start_machine
+from shapeforge.generative.inference import Latents, decode, first_layer_input, infer, sigmoid
+from shapeforge.generative.machine import BetaShapeMachine, Sizes, project, recentre, start_machine
 from shapeforge.generative.observations import LIMIT, Observations
 from shapeforge.generative.pretraining import BATCH, pretrain_pair, pretrain_points
 from shapeforge.generative.structure import fit_structure
@@ -36,7 +36,7 @@ RAREST_SHARE = 0.1
 @dataclass(frozen=True, eq=False)
 class LearnState:
     """Where learning stands after one epoch.  Errors are mean |D - D'| over the existing points, in diagonals, through
-    a sampled H3 (in pre-training: of the layer under way, in its own units); ``held_out_error`` is NaN without a
+    a sampled top (in pre-training: of the layer under way, in its own units); ``held_out_error`` is NaN without a
     validation split.  ``dead_units`` is the share of units per layer that hardly move over the shapes."""
 
     epoch: int
@@ -46,7 +46,7 @@ class LearnState:
     train_error: float
     held_out_error: float
     first_error: float
-    dead_units: tuple[float, float, float]
+    dead_units: tuple[float, ...]
     stop_reason: str | None
 
 
@@ -58,7 +58,7 @@ def learn_machine(
     pretraining: int | None = None,
     executor: Executor | None = None,
     validation: float = 0.1,
-    sizes: tuple[list[int], int, int] | None = None,
+    sizes: Sizes | None = None,
     start: BetaShapeMachine | None = None,
     patience: float = 0.35,
 ) -> Iterator[LearnState]:
@@ -86,17 +86,17 @@ def learn_machine(
     wanted = STEPS if start is None else STEPS // 3
     n_epochs = max(20, -(-wanted // steps)) if epochs is None else epochs
     n_first = max(10, min(200, -(-150 // steps))) if pretraining is None else pretraining
-    total = n_epochs + (0 if start is not None else 3 * n_first)
-    done = 0
+    done, total = 0, n_epochs
 
     if start is not None:
         machine = _continued(start, observations, rng)
     else:
         with threadpool_limits(1, "blas"):
             machine = start_machine(observations, rng=rng, sizes=sizes)
+        total += machine.n_layers * n_first
         for phase, machine, error in _pretrain(machine, train, rng, n_first, run):  # noqa: B020
             done += 1
-            yield LearnState(done, total, phase, machine, error, np.nan, error, (np.nan,) * 3, None)
+            yield LearnState(done, total, phase, machine, error, np.nan, error, (np.nan,) * machine.n_layers, None)
 
     tuner = _Tuner.start(machine, train, rng, n_epochs * steps)
     best, waited, every = None, 0, max(1, round(25 / steps))
@@ -136,9 +136,9 @@ def reconstruction_error(
 def sampled_reconstruction(
     machine: BetaShapeMachine, observations: Observations, *, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "T K 3"], Latents]:
-    """Every shape back through one binary sample of its H3, and its latents."""
+    """Every shape back through one binary sample of its top layer, and its latents."""
     latents = infer(machine, observations.values, observations.exists)
-    sample = (rng.random(latents.hidden3.shape) < latents.hidden3).astype(latents.hidden3.dtype)
+    sample = (rng.random(latents.top.shape) < latents.top).astype(latents.top.dtype)
     return decode(machine, sample), latents
 
 
@@ -166,26 +166,32 @@ def _split(observations: Observations, share: float, rng: np.random.Generator):
 
 
 def _pretrain(machine, train, rng, epochs, run):
-    """Yield (phase, machine, error) per epoch of the three layers."""
+    """Yield (phase, machine, error) per epoch of each layer."""
     layers = pretrain_points(machine, train, rng=rng, epochs=epochs, run=run)
     for machine, error in _one_thread(layers):
         yield "layer1", machine, error * machine.diagonals_per_unit
     # The lower bias of a pair belongs to a machine without the layers below it.  It is used to learn the pair and then
-    # dropped: H1 keeps the bias it learned with the points, H2 the one it learned with H1.
-    lower = infer(machine, train.values, train.exists, rounds=1).hidden1
-    start = recentre(machine, np.clip(lower.mean(axis=0), 0.02, 0.98), machine.centre2, machine.centre3)
-    for arrays, error in _one_thread(pretrain_pair(lower, len(machine.bias2), rng=rng, epochs=epochs)):
-        machine = replace(
-            start, weights12=arrays["weights"], bias2=arrays["upper_bias"], centre2=arrays["upper_centre"]
-        )
-        yield "layer2", machine, error
-    lower = sigmoid(machine.bias2 + (lower - machine.centre1) @ machine.weights12)
-    start = recentre(machine, machine.centre1, np.clip(lower.mean(axis=0), 0.02, 0.98), machine.centre3)
-    for arrays, error in _one_thread(pretrain_pair(lower, len(machine.bias3), rng=rng, epochs=epochs)):
-        machine = replace(
-            start, weights23=arrays["weights"], bias3=arrays["upper_bias"], centre3=arrays["upper_centre"]
-        )
-        yield "layer3", machine, error
+    # dropped: H1 keeps the bias it learned with the points, H2 the one it learned with H1, and so on.
+    lower = first_layer_input(machine, train.values, train.exists)
+    for index in range(machine.n_layers - 1):
+        lower = sigmoid(machine.biases[index] * (index > 0) + lower)
+        centres = list(machine.centres)
+        centres[index] = np.clip(lower.mean(axis=0), 0.02, 0.98)
+        start = recentre(machine, centres)
+        pair = pretrain_pair(lower, machine.sizes[index + 1], rng=rng, epochs=epochs)
+        for arrays, error in _one_thread(pair):
+            machine = replace(
+                start,
+                couplings=_changed(start.couplings, index, arrays["weights"]),
+                biases=_changed(start.biases, index + 1, arrays["upper_bias"]),
+                centres=_changed(start.centres, index + 1, arrays["upper_centre"]),
+            )
+            yield f"layer{index + 2}", machine, error
+        lower = (lower - machine.centres[index]) @ machine.couplings[index]
+
+
+def _changed(items: tuple, index: int, item: np.ndarray) -> tuple:
+    return (*items[:index], item, *items[index + 1 :])
 
 
 def _one_thread(steps: Iterator) -> Iterator:
@@ -208,10 +214,8 @@ class _Tuner:
     @classmethod
     def start(cls, machine: BetaShapeMachine, train: Observations, rng: np.random.Generator, n_steps: int) -> _Tuner:
         latents = infer(machine, train.values, train.exists)
-        layers = (latents.hidden1, latents.hidden2, latents.hidden3)
-        means = [np.clip(layer.mean(axis=0), 0.05, 0.95) for layer in layers]
-        machine = recentre(machine, *means)
-        prior = TopPrior(np.zeros_like(machine.bias3), np.zeros_like(machine.existence_top))
+        machine = recentre(machine, [np.clip(layer.mean(axis=0), 0.05, 0.95) for layer in latents.layers])
+        prior = TopPrior(np.zeros_like(machine.biases[-1]), np.zeros_like(machine.existence_top))
         return cls(project(machine).copy(), prior, n_steps)
 
     def epoch(self, train: Observations, batch_size: int, rng: np.random.Generator, run: Callable) -> None:
@@ -223,7 +227,7 @@ class _Tuner:
         for first in range(0, train.n_shapes, batch_size):
             chosen = order[first : first + batch_size]
             values = vary(train.values[chosen], train.exists[chosen], population[chosen], rng=rng)
-            uniform = rng.random((len(chosen), len(self.machine.bias3)), dtype=np.float32)
+            uniform = rng.random((len(chosen), self.machine.sizes[-1]), dtype=np.float32)
             batch = Batch(values, train.exists[chosen], 1 / share, uniform=uniform)
             _, gradient = loss_and_gradient(self.machine, self.prior, batch, run)
             self._update(gradient)
@@ -244,7 +248,7 @@ class _Tuner:
                 key = f"{name}.{index}"
                 if key not in self.moments:
                     self.moments[key] = (np.zeros(array.size, np.float32), np.zeros(array.size, np.float32))
-                decay = DECAY if name.startswith("weights") else 0.0
+                decay = DECAY if name in ("weights", "couplings") else 0.0
                 # Ā is of the order of the concentration, weights and biases of 1: its steps must be larger.
                 scale = 5.0 if name == "rest" else 1.0
                 adam_step(
@@ -301,20 +305,18 @@ def _measure(
     )
 
 
-def dead_units(machine: BetaShapeMachine, latents: Latents) -> tuple[float, float, float]:
+def dead_units(machine: BetaShapeMachine, latents: Latents) -> tuple[float, ...]:
     """Share of units per layer whose probability varies by less than .01 (standard deviation) over the shapes.
 
     Units of parts that a shape lacks are not counted for that shape.
     """
-    shares = []
     first = []
     for index, slot in enumerate(machine.units_of_part):
-        present = latents.hidden1[latents.exists[:, index], slot]
+        present = latents.first[latents.exists[:, index], slot]
         if len(present) > 1:
             first.append(present.std(axis=0))
-    spreads = [np.concatenate(first) if first else np.ones(1), latents.hidden2.std(axis=0), latents.hidden3.std(axis=0)]
-    shares = [float((spread < 0.01).mean()) for spread in spreads]
-    return shares[0], shares[1], shares[2]
+    spreads = [np.concatenate(first) if first else np.ones(1), *(layer.std(axis=0) for layer in latents.layers[1:])]
+    return tuple(float((spread < 0.01).mean()) for spread in spreads)
 
 
 def _score(state: LearnState, n_held_out: int) -> float:
@@ -331,10 +333,10 @@ def _score(state: LearnState, n_held_out: int) -> float:
 def _calibrate(
     machine: BetaShapeMachine, observations: Observations, held_out: Observations | None
 ) -> BetaShapeMachine:
-    """The machine with ``spread`` measured: what H3's probabilities leave unexplained, on held-out shapes if any."""
+    """The machine with ``spread`` measured: what the top leaves unexplained, on held-out shapes if there are any."""
     judged = observations if held_out is None else held_out
     latents = infer(machine, judged.values, judged.exists)
-    residual = (decode(machine, latents.hidden3) - judged.values) * machine.diagonals_per_unit
+    residual = (decode(machine, latents.top) - judged.values) * machine.diagonals_per_unit
     counts = judged.exists[:, judged.part][..., None].astype(float)
     # Few shapes judge each point: lean on the part's own mean square as if on four more shapes.
     square = (residual.astype(float) ** 2 * counts).sum(axis=0)

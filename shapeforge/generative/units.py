@@ -27,8 +27,8 @@ BIG_MOVE = 0.4
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """One slider.  Its value is added to the logits of a layer along ``vector`` (H3 for kind "direction", H2 for
-    "bundle" and "unit"); 0 leaves a shape as it is.
+    """One slider.  Its value is added to the logits of a layer along ``vector``: the top for kind
+    "direction", H2 for "bundle" (the top, where H2 is the top or there is none); 0 leaves a shape as it is.
 
     ``low`` and ``high`` are the 5th and 95th percentile over the training shapes, relative to their median;
     ``histogram`` (b,) counts the shapes between ``edges`` (b+1,).  ``moves`` (K,) is how far each point goes, in
@@ -63,12 +63,12 @@ def directions(
     """The ``count`` directions of the top layer that change shapes most, the most effective first.
 
     Principal directions of what the family's shapes do while their parts stay the same: the positions that the machine
-    gives back are decomposed within each combination of parts, and a direction is the change of H3's logits that goes
-    along with one principal component.  Deterministic, signs included (the part that moves most grows or rises).
+    gives back are decomposed within each combination of parts, and a direction is the change of the top's logits that
+    goes along with one principal component.  Deterministic, signs included (the part that moves most grows or rises).
     """
     latents = infer(machine, observations.values, observations.exists)
-    logits = np.clip(logit(latents.hidden3), -6, 6).astype(float)
-    decoded = decode(machine, latents.hidden3)
+    logits = np.clip(logit(latents.top), -6, 6).astype(float)
+    decoded = decode(machine, latents.top)
     counted = observations.exists[:, observations.part][..., None]
     flat = (decoded.astype(float) * counted).reshape(len(decoded), -1)
     logits_within = _within_patterns(logits, observations.exists)
@@ -88,11 +88,11 @@ def directions(
 def bundles(machine: BetaShapeMachine, observations: Observations, count: int = 8) -> list[Direction]:
     """The ``count`` units of H2, each with the units of H1 that it drives (Figure 7), that change shapes most."""
     latents = infer(machine, observations.values, observations.exists)
-    logits = np.clip(logit(latents.hidden2), -6, 6).astype(float)
+    logits = np.clip(logit(latents.layers[_bundle_layer(machine)]), -6, 6).astype(float)
     centred = _within_patterns(logits, observations.exists)
     typical = _typical_shapes(latents, centred)
     swing = np.percentile(centred, 95, axis=0) - np.percentile(centred, 5, axis=0)
-    reach = swing * np.abs(machine.weights12).sum(axis=0)
+    reach = swing * np.abs(machine.couplings[0]).sum(axis=0) if machine.n_layers > 1 else swing
     found = []
     for unit in np.argsort(-reach)[: 3 * count]:
         vector = np.zeros(logits.shape[1])
@@ -128,27 +128,37 @@ def drive_latents(
     directions: Sequence[Direction],
 ) -> tuple[Float[np.ndarray, "K 3"], Latents]:
     """As ``drive``, with the latents of the result."""
-    dtype = machine.bias1.dtype
+    dtype = machine.dtype
     present = base.exists[:1] if exists is None else exists[None]
-    steps = {"direction": np.zeros(len(machine.bias3)), "bundle": np.zeros(len(machine.bias2))}
+    steps = {"direction": np.zeros(machine.sizes[-1]), "bundle": np.zeros(machine.sizes[_bundle_layer(machine)])}
     for index, value in settings.items():
         steps[directions[index].kind] += value * directions[index].vector
     moved = _moved(machine, base[:1], steps["direction"][None].astype(dtype), steps["bundle"][None].astype(dtype))
-    latents = Latents(moved.hidden1, moved.hidden2, moved.hidden3, present)
+    latents = Latents(moved.layers, present)
     return machine.to_positions(decode(machine, latents), present)[0], latents
 
 
-def _moved(machine: BetaShapeMachine, base: Latents, top_step: np.ndarray, second_step: np.ndarray) -> Latents:
-    """Latents after steps in the logits of H3 (n, O) and H2 (n, N): H1 and H2 keep what the top does not explain."""
-    top = sigmoid(np.clip(logit(base.hidden3), -6, 6) + top_step)
-    before1, before2 = descend(machine, np.clip(base.hidden3, 0.0025, 0.9975))
-    after1, after2 = descend(machine, top)
-    second = sigmoid(logit(base.hidden2) + logit(after2) - logit(before2) + second_step)
-    first_change = logit(after1) - logit(before1)
-    if second_step.any():
-        shifted = sigmoid(logit(after2) + second_step)
-        first_change = first_change + (shifted - after2) @ machine.weights12.T
-    return Latents(sigmoid(logit(base.hidden1) + first_change), second, top, base.exists)
+def _bundle_layer(machine: BetaShapeMachine) -> int:
+    """The layer whose units are offered as bundles: H2, or the top of a machine with fewer layers."""
+    return min(1, machine.n_layers - 1)
+
+
+def _moved(machine: BetaShapeMachine, base: Latents, top_step: np.ndarray, bundle_step: np.ndarray) -> Latents:
+    """Latents after steps in the logits of the top (n, O) and of the bundles' layer (n, N): the layers below keep what
+    the top does not explain."""
+    level, last = _bundle_layer(machine), machine.n_layers - 1
+    if level == last:
+        top_step = top_step + bundle_step
+    top = sigmoid(np.clip(logit(base.top), -6, 6) + top_step)
+    before, after = descend(machine, np.clip(base.top, 0.0025, 0.9975)), descend(machine, top)
+    layers = [
+        logit(own) + logit(b) - logit(a) for own, a, b in zip(base.layers, before[:last], after[:last], strict=False)
+    ]
+    if level < last and bundle_step.any():
+        layers[level] = layers[level] + bundle_step
+        driven = sigmoid(logit(after[level]) + bundle_step) - after[level]
+        layers[0] = layers[0] + driven @ machine.couplings[0].T
+    return Latents((*(sigmoid(layer) for layer in layers), top), base.exists)
 
 
 def _within_patterns(data: np.ndarray, exists: np.ndarray) -> np.ndarray:
@@ -178,11 +188,10 @@ def _direction(
     low, high = float(np.percentile(values, 5)), float(np.percentile(values, 95))
     ends = []
     for value in (low, high):
-        step = np.broadcast_to((value * vector).astype(machine.bias1.dtype), (len(share), len(vector)))
-        none2 = np.zeros((len(share), len(machine.bias2)), step.dtype)
-        none3 = np.zeros((len(share), len(machine.bias3)), step.dtype)
-        moved = _moved(machine, shapes, *((step, none2) if kind == "direction" else (none3, step)))
-        ends.append(expected_values(machine, moved.hidden1).astype(float))
+        step = np.broadcast_to((value * vector).astype(machine.dtype), (len(share), len(vector)))
+        none_top, none = np.zeros_like(shapes.top), np.zeros_like(shapes.layers[_bundle_layer(machine)])
+        moved = _moved(machine, shapes, *((step, none) if kind == "direction" else (none_top, step)))
+        ends.append(expected_values(machine, moved.first).astype(float))
     distance = np.linalg.norm(ends[1] - ends[0], axis=2) * machine.diagonals_per_unit
     weight = share[:, None] * shapes.exists[:, machine.part]
     moves = (weight * distance).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-12)

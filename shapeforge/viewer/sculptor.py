@@ -91,12 +91,8 @@ class Sculptor:
         """The middle of the shapes with the family's most common parts."""
         patterns, which, counts = np.unique(self.latents.exists, axis=0, return_inverse=True, return_counts=True)
         members = np.flatnonzero(which.reshape(-1) == counts.argmax())
-        hidden = [sigmoid(logit(layer[members]).mean(axis=0, keepdims=True)) for layer in self._layers(self.latents)]
-        return Latents(*hidden, patterns[counts.argmax()][None])
-
-    @staticmethod
-    def _layers(latents: Latents) -> tuple[np.ndarray, ...]:
-        return latents.hidden1, latents.hidden2, latents.hidden3
+        hidden = [sigmoid(logit(layer[members]).mean(axis=0, keepdims=True)) for layer in self.latents.layers]
+        return Latents(tuple(hidden), patterns[counts.argmax()][None])
 
     def random_base(self) -> Latents:
         """A draw from the learnt distribution; the n-th draw of a project is always the same."""
@@ -111,9 +107,9 @@ class Sculptor:
         """``share`` of the way from one shape to another, in the logits of every layer; parts of the nearer one."""
         hidden = [
             sigmoid((1 - share) * logit(a) + share * logit(b)).astype(a.dtype)
-            for a, b in zip(self._layers(first), self._layers(second), strict=True)
+            for a, b in zip(first.layers, second.layers, strict=True)
         ]
-        return Latents(*hidden, (first if share < 0.5 else second).exists)
+        return Latents(tuple(hidden), (first if share < 0.5 else second).exists)
 
     # ---- the shape in hand ---------------------------------------------------------------------------------------
 
@@ -369,7 +365,7 @@ def export_mesh(path: Path, sculptor: Sculptor, shape: SynthesizedShape, recipe:
         "sliders": {sculptor.names[i]: value for i, value in sculptor.session.sliders.items()},
         "parts": [n for n, on in zip(sculptor.part_names, sculptor.exists(), strict=True) if on],
         "sources": list(shape.sources), "measures": json.loads(json.dumps(dict(shape.measures), default=float)),
-        "hidden": [np.round(layer[0].astype(float), 5).tolist() for layer in sculptor._layers(recipe.base)],
+        "hidden": [np.round(layer[0].astype(float), 5).tolist() for layer in recipe.base.layers],
     }  # fmt: skip
     temporary = beside.with_name(beside.name + ".part")
     temporary.write_text(json.dumps(content, indent=1), "utf-8")

@@ -51,7 +51,7 @@ def test_new_shapes_come_back_far_better_than_as_the_mean_shape(family, learned)
     latents = infer(machine, test.values, test.exists)
     floor = mean_shape_error(family)
     assert reconstruction_error(machine, test, decode(machine, latents)) < 0.6 * floor
-    assert reconstruction_error(machine, test, decode(machine, latents.hidden3)) < 0.7 * floor
+    assert reconstruction_error(machine, test, decode(machine, latents.top)) < 0.7 * floor
 
 
 def test_last_state_says_why_it_stopped_and_few_units_are_dead(learned):
@@ -71,12 +71,12 @@ def test_machine_and_mixture_survive_a_store(family, learned, mixture):
     assert again.part_names == machine.part_names
     seen = family[1]
     np.testing.assert_array_equal(
-        infer(again, seen.values, seen.exists).hidden3, infer(machine, seen.values, seen.exists).hidden3
+        infer(again, seen.values, seen.exists).top, infer(machine, seen.values, seen.exists).top
     )
     arrays = machine.to_arrays() | {}
     assert all(array.dtype != object for array in arrays.values())
-    arrays.pop("bias2")
-    with pytest.raises(ValueError, match="bias2"):
+    arrays.pop("existence_top")
+    with pytest.raises(ValueError, match="existence_top"):
         BetaShapeMachine.from_arrays(arrays)
     np.testing.assert_array_equal(Mixture.from_arrays(mixture.to_arrays()).top, mixture.top)
 
