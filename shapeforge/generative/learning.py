@@ -16,14 +16,14 @@ from shapeforge.generative.inference import Latents, decode, first_layer_input, 
 from shapeforge.generative.machine import BetaShapeMachine, Sizes, project, recentre, start_machine
 from shapeforge.generative.observations import LIMIT, Observations
 from shapeforge.generative.pretraining import BATCH, pretrain_pair, pretrain_points
+from shapeforge.generative.priors import EVERY, Strengths, apply_priors, near_points
 from shapeforge.generative.structure import fit_structure
 
 STEPS = 1600
 """Fine-tuning steps when no number of epochs is asked for: small families need many epochs, large ones few."""
 
 RATE = 3e-3
-DECAY = 0.1
-"""Decoupled weight decay of Adam, on the pairwise weights only."""
+DEFAULT_STRENGTHS = Strengths()
 
 FURTHEST, WIDER = 3.0, 5.0
 """Of the variations that a family is enriched with: see ``vary``."""
@@ -61,26 +61,30 @@ def learn_machine(
     sizes: Sizes | None = None,
     start: BetaShapeMachine | None = None,
     patience: float = 0.35,
+    held_out: Int[np.ndarray, " n"] | None = None,
+    strengths: Strengths = DEFAULT_STRENGTHS,
 ) -> Iterator[LearnState]:
     """Learn a machine; one state per epoch.  The last state holds the best machine by held-out error (see ``_score``).
 
     ``epochs`` of fine-tuning (default: enough for about 1600 steps) and ``pretraining`` epochs per layer; a share
-    ``validation`` of the shapes is held out unless there are fewer than 10.  ``start`` continues from a machine (its
-    pre-training is skipped).  With threads as ``executor`` the parts are worked on side by side (a cluster is left
-    alone: see ``joint`` and the fit for what is worth one); the result is the same bytes.
+    ``validation`` of the shapes is held out unless there are fewer than 10, or just the shapes ``held_out``, by index.
+    ``strengths`` are those of the priors on the weights.  ``start`` continues from a machine (its pre-training is
+    skipped).  With threads as ``executor`` the parts are worked on side by side (a cluster is left alone: see ``joint``
+    and the fit for what is worth one); the result is the same bytes.
     Learning stops early when the held-out error has not fallen for a share ``patience`` of all epochs.
 
-    Raises ValueError with fewer than two shapes.
+    Raises ValueError with fewer than two shapes to learn from.
     """
-    if observations.n_shapes < 2:
+    if observations.n_shapes - (0 if held_out is None else len(np.unique(held_out))) < 2:
         raise ValueError(
-            f"observations: wanted at least 2 shapes, got {observations.n_shapes}; "
+            f"observations: wanted at least 2 shapes to learn from, got {observations.n_shapes}"
+            f"{'' if held_out is None else f' of which {len(np.unique(held_out))} are held out'}; "
             "usually most shapes of the family were left out before learning"
         )
     # steps on a part take milliseconds: threads gain by them, another process would only wait for its data
     run = executor.map if isinstance(executor, ThreadPoolExecutor) else map
-    train, held_out = _split(observations, validation, rng)
-    n_held_out = 0 if held_out is None else held_out.n_shapes
+    train, judges = split(observations, validation, rng=rng, held_out=held_out)
+    n_held_out = 0 if judges is None else judges.n_shapes
     batch_size = min(BATCH, train.n_shapes)
     steps = -(-train.n_shapes // batch_size)
     wanted = STEPS if start is None else STEPS // 3
@@ -92,26 +96,26 @@ def learn_machine(
         machine = _continued(start, observations, rng)
     else:
         with threadpool_limits(1, "blas"):
-            machine = start_machine(observations, rng=rng, sizes=sizes)
+            machine = start_machine(train, rng=rng, sizes=sizes)
         total += machine.n_layers * n_first
         for phase, machine, error in _pretrain(machine, train, rng, n_first, run):  # noqa: B020
             done += 1
             yield LearnState(done, total, phase, machine, error, np.nan, error, (np.nan,) * machine.n_layers, None)
 
-    tuner = _Tuner.start(machine, train, rng, n_epochs * steps)
+    tuner = _Tuner.start(machine, train, strengths, n_epochs * steps)
     best, waited, every = None, 0, max(1, round(25 / steps))
     for epoch in range(1, n_epochs + 1):
         with threadpool_limits(1, "blas"):
             tuner.epoch(train, batch_size, rng, run)
             if epoch % every and epoch < n_epochs:
                 continue
-            state = _measure(tuner.machine, train, held_out, done + epoch, total)
+            state = _measure(tuner.machine, train, judges, done + epoch, total)
         if best is None or _score(state, n_held_out) < _score(best, n_held_out):
             best, waited = state, 0
         else:
             waited += 1
         stop = None
-        if held_out is not None and waited * every >= patience * n_epochs:
+        if judges is not None and waited * every >= patience * n_epochs:
             stop = f"The error on held-out shapes has not fallen for {waited * every} epochs."
         elif epoch == n_epochs:
             stop = "All epochs are done."
@@ -119,7 +123,7 @@ def learn_machine(
             yield state
             continue
         with threadpool_limits(1, "blas"):
-            finished = _calibrate(best.machine, observations, held_out)
+            finished = _calibrate(best.machine, observations, judges)
         yield replace(best, epoch=state.epoch, machine=finished, stop_reason=stop)
         return
 
@@ -155,9 +159,26 @@ def _continued(start: BetaShapeMachine, observations: Observations, rng: np.rand
     return replace(start.copy(), low=observations.low, high=observations.high, structure=structure)
 
 
-def _split(observations: Observations, share: float, rng: np.random.Generator):
-    """(training shapes, held-out shapes or None)."""
+def split(
+    observations: Observations,
+    share: float = 0.1,
+    *,
+    rng: np.random.Generator,
+    held_out: Int[np.ndarray, " n"] | None = None,
+) -> tuple[Observations, Observations | None]:
+    """(training shapes, held-out shapes or None): those named by index in ``held_out``, or a random share.
+
+    At least 2 and at most 200 are drawn, none from fewer than 10 shapes.  Raises ValueError for an index out of range.
+    """
     n = observations.n_shapes
+    if held_out is not None:
+        if len(held_out) and not (0 <= held_out.min() and held_out.max() < n):
+            raise ValueError(
+                f"held_out: wanted indices of shapes in 0..{n - 1}, got {held_out.min()}..{held_out.max()}; "
+                "usually the list was made for another collection"
+            )
+        rest = np.setdiff1d(np.arange(n), held_out)
+        return observations.subset(rest), observations.subset(np.unique(held_out)) if len(held_out) else None
     if n < FEWEST_TO_VALIDATE or share <= 0:
         return observations, None
     order = rng.permutation(n)
@@ -207,16 +228,18 @@ def _one_thread(steps: Iterator) -> Iterator:
 class _Tuner:
     """Parameters and Adam moments of fine-tuning, changed in place."""
 
-    def __init__(self, machine: BetaShapeMachine, prior: TopPrior, n_steps: int):
+    def __init__(self, machine: BetaShapeMachine, prior: TopPrior, strengths: Strengths, near, n_steps: int):
         self.machine, self.prior, self.n_steps, self.step = machine, prior, n_steps, 0
+        self.strengths, self.near = strengths, near
         self.moments: dict[str, tuple[np.ndarray, np.ndarray]] = {}
 
     @classmethod
-    def start(cls, machine: BetaShapeMachine, train: Observations, rng: np.random.Generator, n_steps: int) -> _Tuner:
+    def start(cls, machine: BetaShapeMachine, train: Observations, strengths: Strengths, n_steps: int) -> _Tuner:
         latents = infer(machine, train.values, train.exists)
         machine = recentre(machine, [np.clip(layer.mean(axis=0), 0.05, 0.95) for layer in latents.layers])
         prior = TopPrior(np.zeros_like(machine.biases[-1]), np.zeros_like(machine.existence_top))
-        return cls(project(machine).copy(), prior, n_steps)
+        near = near_points(train) if strengths.smooth else None
+        return cls(project(machine).copy(), prior, strengths, near, n_steps)
 
     def epoch(self, train: Observations, batch_size: int, rng: np.random.Generator, run: Callable) -> None:
         """One pass over the shapes, then the projection to positive parameters."""
@@ -248,13 +271,15 @@ class _Tuner:
                 key = f"{name}.{index}"
                 if key not in self.moments:
                     self.moments[key] = (np.zeros(array.size, np.float32), np.zeros(array.size, np.float32))
-                decay = DECAY if name in ("weights", "couplings") else 0.0
+                decay = self.strengths.decay if name in ("weights", "couplings") else 0.0
                 # Ā is of the order of the concentration, weights and biases of 1: its steps must be larger.
                 scale = 5.0 if name == "rest" else 1.0
                 adam_step(
                     array.reshape(-1), np.ascontiguousarray(slope, np.float32).reshape(-1), *self.moments[key],
                     scale * rate, decay, self.step,
                 )  # fmt: skip
+        if self.step % EVERY == 0 and (self.strengths.smooth or self.strengths.sparse):
+            apply_priors(self.machine, self.near, self.strengths, EVERY * rate)
 
 
 def vary(

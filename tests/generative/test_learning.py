@@ -1,6 +1,7 @@
 """The chain observe -> learn -> mixture -> draw -> directions -> drive on a small family."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from shapeforge.generative.descriptors import describe_shapes
 from shapeforge.generative.draw import Mixture, draw, fit_mixture
 from shapeforge.generative.inference import decode, infer
 from shapeforge.generative.joint import family_prior, shape_prior
-from shapeforge.generative.learning import learn_machine, reconstruction_error, vary
+from shapeforge.generative.learning import learn_machine, reconstruction_error, split, vary
 from shapeforge.generative.machine import BetaShapeMachine
 from shapeforge.generative.observations import observe
 from shapeforge.generative.paper_form import to_paper
@@ -189,3 +190,23 @@ def test_components_reproduce_training_shapes_and_draw(family):
         values, exists = draw_from_components(model, 5, rng=np.random.default_rng(0), kernel=kernel)
         assert values.shape == (5, *train.values.shape[1:])
         assert {tuple(row) for row in exists} <= {tuple(row) for row in train.exists}
+
+
+def test_the_shapes_that_judge_may_be_named(family):
+    small = family[0].subset(np.arange(14))
+    named = np.array([1, 5, 9])
+    train, judges = split(small, rng=np.random.default_rng(0), held_out=named)
+    np.testing.assert_array_equal(judges.values, small.values[named])
+    assert train.n_shapes == 11
+    settings = {"epochs": 4, "pretraining": 2, "held_out": named}
+    state = last(learn_machine(small, rng=np.random.default_rng(0), **settings))
+    # Whatever the judges look like, nothing of them may enter the weights (the cube is the family's).
+    changed = replace(small, values=np.where(np.isin(np.arange(14), named)[:, None, None], 0.4, small.values))
+    other = last(learn_machine(changed, rng=np.random.default_rng(0), **settings))
+    assert state.held_out_error != other.held_out_error
+    for mine, theirs in zip(state.machine.weights, other.machine.weights, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    with pytest.raises(ValueError, match="held_out"):
+        split(small, rng=np.random.default_rng(0), held_out=np.array([14]))
+    with pytest.raises(ValueError, match="held out"):
+        next(learn_machine(small, rng=np.random.default_rng(0), held_out=np.arange(13)))
