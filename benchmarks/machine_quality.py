@@ -55,7 +55,7 @@ def run(family_name: str, count: int, held_out: int, n_points: int, seed: int, e
     known = np.array([tuple(row) in seen for row in test.exists])
 
     n = test.n_shapes
-    mixture = fit_mixture(machine, train, rng=rng)
+    mixture = fit_mixture(machine, train)
     drawn = draw(machine, mixture, n, rng=rng)
     sources = {"training shapes": train.positions()[rng.permutation(count)[:n]], "machine": drawn.points}
     model = fit_principal_components(train)

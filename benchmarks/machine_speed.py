@@ -36,7 +36,7 @@ def run(n_points: int, n_shapes: int, seed: int) -> dict:
     positions = base + np.einsum("ta,akx->tkx", rng.standard_normal((n_shapes, 8)), axes)
     observations = observe(positions, part, ("body", "left", "right", "tail"))
     machine = start_machine(observations, rng=rng, sizes=layer_sizes(counts, 3000))
-    mixture = fit_mixture(machine, observations, rng=rng)
+    mixture = fit_mixture(machine, observations)
     found = directions(machine, mixture, observations)
     one = infer(machine, observations.values[:1], observations.exists[:1])
     prior = TopPrior(np.zeros_like(machine.biases[-1]), np.zeros_like(machine.existence_top))

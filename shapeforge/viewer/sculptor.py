@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from shapeforge.generative.draw import draw
+from shapeforge.generative.evidence import between
 from shapeforge.generative.inference import Latents, infer, logit, sigmoid
 from shapeforge.generative.units import Direction, bundles, drive
 from shapeforge.synthesis.assemble import SynthesizedShape
@@ -105,11 +106,7 @@ class Sculptor:
 
     def between(self, first: Latents, second: Latents, share: float) -> Latents:
         """``share`` of the way from one shape to another, in the logits of every layer; parts of the nearer one."""
-        hidden = [
-            sigmoid((1 - share) * logit(a) + share * logit(b)).astype(a.dtype)
-            for a, b in zip(first.layers, second.layers, strict=True)
-        ]
-        return Latents(tuple(hidden), (first if share < 0.5 else second).exists)
+        return between(first, second, [share])
 
     # ---- the shape in hand ---------------------------------------------------------------------------------------
 
