@@ -6,9 +6,9 @@ Random shapes of a full-sized family (four parts of unequal size, units as for t
 Times are CPU-seconds of this process, so that others at work on the machine count for little.
 
 Learning is extrapolated to ``--target`` shapes from measured epochs at the two numbers of ``--shapes``: an epoch takes
-a fixed time (the projection) and a time for every shape.  ``sgemm share``: the products that a step of fine-tuning needs,
-counted as 2 operations a term, by the time the step takes, against the rate of products of the same shapes alone, in
-the same run.  The last line is one JSON object.
+a fixed time (the projection) and a time for every shape.  ``sgemm share``: the products that a step of fine-tuning
+needs, counted as 2 operations a term, by the time the step takes, against the rate of products of the same shapes
+alone, in the same run.  The last line is one JSON object.
 """
 
 from __future__ import annotations
