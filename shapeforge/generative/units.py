@@ -18,6 +18,12 @@ from shapeforge.generative.machine import BetaShapeMachine
 from shapeforge.generative.observations import Observations
 
 BINS = 16
+DRIVEN = 0.3
+"""Correlation with an upper unit from which a lower unit belongs to its bundle."""
+
+SAME = 0.9
+"""Cosine from which two bundles are taken for one."""
+
 MOST_PATTERNS = 8
 """Combinations of parts on which a slider's effect is measured."""
 
@@ -28,7 +34,7 @@ BIG_MOVE = 0.4
 @dataclass(frozen=True, eq=False)
 class Direction:
     """One slider.  Its value is added to the logits of a layer along ``vector``: the top for kind
-    "direction", H2 for "bundle" (the top, where H2 is the top or there is none); 0 leaves a shape as it is.
+    "direction", H1 for "bundle"; 0 leaves a shape as it is.
 
     ``low`` and ``high`` are the 5th and 95th percentile over the training shapes, relative to their median;
     ``histogram`` (b,) counts the shapes between ``edges`` (b+1,).  ``moves`` (K,) is how far each point goes, in
@@ -86,20 +92,40 @@ def directions(
 
 
 def bundles(machine: BetaShapeMachine, observations: Observations, count: int = 8) -> list[Direction]:
-    """The ``count`` units of H2, each with the units of H1 that it drives (Figure 7), that change shapes most."""
+    """The ``count`` units of H2, each with the units of H1 that go with it (Figure 7), that change shapes most.
+
+    Set alone, a unit moves a shape by less than one can see: its neighbours hold H1 where it was.  So H1's logits go
+    along as they do over the family (least squares, within combinations of parts), where the two correlate at all.  The
+    values are logits of the H2 unit; bundles that do nearly the same as a stronger one are left out.
+    """
     latents = infer(machine, observations.values, observations.exists)
-    logits = np.clip(logit(latents.layers[_bundle_layer(machine)]), -6, 6).astype(float)
-    centred = _within_patterns(logits, observations.exists)
-    typical = _typical_shapes(latents, centred)
-    swing = np.percentile(centred, 95, axis=0) - np.percentile(centred, 5, axis=0)
-    reach = swing * np.abs(machine.couplings[0]).sum(axis=0) if machine.n_layers > 1 else swing
-    found = []
-    for unit in np.argsort(-reach)[: 3 * count]:
-        vector = np.zeros(logits.shape[1])
-        vector[unit] = 1
-        found.append(_direction(machine, typical, vector, centred[:, unit], "bundle"))
+    upper = _within_patterns(_logits(latents.layers[_bundle_layer(machine)]), observations.exists)
+    typical = _typical_shapes(latents, upper)
+    lower = _within_patterns(_logits(latents.first), observations.exists)
+    there = np.zeros(lower.shape, bool)
+    for index, slot in enumerate(machine.units_of_part):
+        there[:, slot] = observations.exists[:, [index]]
+    lower = lower * there
+    square = np.maximum((upper**2).T @ there, 1e-12)
+    slopes = upper.T @ lower / square
+    correlation = slopes * np.sqrt(square / np.maximum((lower**2).sum(axis=0), 1e-12))
+    slopes = np.where(np.abs(correlation) >= DRIVEN, slopes, 0)
+    swing = np.percentile(upper, 95, axis=0) - np.percentile(upper, 5, axis=0)
+    found: list[Direction] = []
+    for unit in np.argsort(-swing * np.linalg.norm(slopes, axis=1), kind="stable"):
+        vector = slopes[unit]
+        strength = float(np.linalg.norm(vector))
+        if strength < 1e-9 or len(found) >= 2 * count:
+            break
+        alike = (abs(float(vector @ o.vector)) / (strength * np.linalg.norm(o.vector)) for o in found)
+        if max(alike, default=0.0) < SAME:
+            found.append(_direction(machine, typical, vector, upper[:, unit], "bundle"))
     found.sort(key=lambda direction: -direction.size)
     return [_named(direction, index) for index, direction in enumerate(found[:count])]
+
+
+def _logits(layer: np.ndarray) -> np.ndarray:
+    return np.clip(logit(layer), -6, 6).astype(float)
 
 
 def drive(
@@ -130,7 +156,7 @@ def drive_latents(
     """As ``drive``, with the latents of the result."""
     dtype = machine.dtype
     present = base.exists[:1] if exists is None else exists[None]
-    steps = {"direction": np.zeros(machine.sizes[-1]), "bundle": np.zeros(machine.sizes[_bundle_layer(machine)])}
+    steps = {"direction": np.zeros(machine.sizes[-1]), "bundle": np.zeros(machine.sizes[0])}
     for index, value in settings.items():
         steps[directions[index].kind] += value * directions[index].vector
     moved = _moved(machine, base[:1], steps["direction"][None].astype(dtype), steps["bundle"][None].astype(dtype))
@@ -139,25 +165,22 @@ def drive_latents(
 
 
 def _bundle_layer(machine: BetaShapeMachine) -> int:
-    """The layer whose units are offered as bundles: H2, or the top of a machine with fewer layers."""
+    """The layer whose units lead bundles: H2, or H1 in a machine without."""
     return min(1, machine.n_layers - 1)
 
 
-def _moved(machine: BetaShapeMachine, base: Latents, top_step: np.ndarray, bundle_step: np.ndarray) -> Latents:
-    """Latents after steps in the logits of the top (n, O) and of the bundles' layer (n, N): the layers below keep what
-    the top does not explain."""
-    level, last = _bundle_layer(machine), machine.n_layers - 1
-    if level == last:
-        top_step = top_step + bundle_step
+def _moved(machine: BetaShapeMachine, base: Latents, top_step: np.ndarray, first_step: np.ndarray) -> Latents:
+    """Latents after steps in the logits of the top (n, O) and of H1 (n, M): the layers below the top keep what it does
+    not explain."""
+    last = machine.n_layers - 1
+    if last == 0:
+        return Latents((sigmoid(logit(base.first) + top_step + first_step),), base.exists)
     top = sigmoid(np.clip(logit(base.top), -6, 6) + top_step)
     before, after = descend(machine, np.clip(base.top, 0.0025, 0.9975)), descend(machine, top)
     layers = [
         logit(own) + logit(b) - logit(a) for own, a, b in zip(base.layers, before[:last], after[:last], strict=False)
     ]
-    if level < last and bundle_step.any():
-        layers[level] = layers[level] + bundle_step
-        driven = sigmoid(logit(after[level]) + bundle_step) - after[level]
-        layers[0] = layers[0] + driven @ machine.couplings[0].T
+    layers[0] = layers[0] + first_step
     return Latents((*(sigmoid(layer) for layer in layers), top), base.exists)
 
 
@@ -189,7 +212,7 @@ def _direction(
     ends = []
     for value in (low, high):
         step = np.broadcast_to((value * vector).astype(machine.dtype), (len(share), len(vector)))
-        none_top, none = np.zeros_like(shapes.top), np.zeros_like(shapes.layers[_bundle_layer(machine)])
+        none_top, none = np.zeros_like(shapes.top), np.zeros_like(shapes.first)
         moved = _moved(machine, shapes, *((step, none) if kind == "direction" else (none_top, step)))
         ends.append(expected_values(machine, moved.first).astype(float))
     distance = np.linalg.norm(ends[1] - ends[0], axis=2) * machine.diagonals_per_unit

@@ -144,7 +144,20 @@ def test_sliders_move_what_their_caption_says(family, learned, mixture):
         assert np.linalg.norm(moved - previous, axis=1)[present].mean() > 0
         previous = moved
     assert steps == sorted(steps)
-    assert all(d.kind == "bundle" for d in bundles(machine, train, 3))
+
+
+def test_a_bundle_is_seen_and_goes_one_way(family, learned):
+    train, machine = family[0], learned.machine
+    found = bundles(machine, train, 3)
+    assert [d.vector.tolist() for d in found] == [d.vector.tolist() for d in bundles(machine, train, 3)]
+    assert all(d.kind == "bundle" and d.vector.shape == (machine.sizes[0],) for d in found)
+    assert found[0].size >= 0.01, "the strongest bundle must do something one can see"
+    base = infer(machine, train.values[:1], train.exists[:1])
+    ends = [drive(machine, base, {0: value}, directions=found) for value in np.linspace(found[0].low, found[0].high, 5)]
+    there = np.isfinite(ends[0][:, 0])
+    way = (ends[4] - ends[0])[there]
+    along = [float(((end - ends[0])[there] * way).sum() / (way**2).sum()) for end in ends]
+    assert along == sorted(along) and along[2] == pytest.approx(0.5, abs=0.3)
 
 
 def test_descriptors_tell_classes_apart(family, learned):
