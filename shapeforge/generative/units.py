@@ -21,7 +21,7 @@ BINS = 16
 DRIVEN = 0.3
 """Correlation with an upper unit from which a lower unit belongs to its bundle."""
 
-SAME = 0.9
+SAME = 0.7
 """Cosine from which two bundles are taken for one."""
 
 MOST_PATTERNS = 8
