@@ -141,7 +141,7 @@ def slider_times(family: TrueFamily, seed: int) -> dict[str, float]:
     rng = np.random.default_rng(seed)
     observations = observe(family.positions, family.part, family.part_names)
     machine = last(learn_machine(observations, rng=rng, epochs=2)).machine
-    found = directions(machine, fit_mixture(machine, observations, rng=rng), observations)
+    found = directions(machine, fit_mixture(machine, observations), observations)
     base = infer(machine, observations.values[:1], observations.exists[:1])
     sources = make_sources(
         [shape.name for shape in family.shapes], lambda t: family.shapes[t], family.faces, family.positions,

@@ -171,7 +171,7 @@ def learn_into(
         raise StageError("learning made no epoch; wanted epochs of at least 1")
     yield task.progress("describe", 0, 1, "describing the family")
     machine = state.machine
-    mixture = fit_mixture(machine, observations, rng=rng)
+    mixture = fit_mixture(machine, observations)
     write_record(folder / "observations.zarr.zip", observations)
     write_record(folder / "mixture.zarr.zip", mixture)
     write_record(folder / "directions.zarr.zip", tuple(directions(machine, mixture, observations)))

@@ -28,7 +28,7 @@ def recipe_of(project: Project, latents: Any, shape: Any, **more: Any) -> dict[s
         "fit": project.fit_id, **more, "parts": [n for n, on in zip(names, latents.exists[0], strict=True) if on],
         "sources": {n: s for n, s in zip(names, shape.sources, strict=True) if s},
         "measures": json.loads(json.dumps(dict(shape.measures), default=float)),
-        "hidden": [[float(x) for x in layer[0]] for layer in (latents.hidden1, latents.hidden2, latents.hidden3)],
+        "hidden": [[float(x) for x in layer[0]] for layer in latents.layers],
     }  # fmt: skip
 
 
@@ -69,8 +69,8 @@ def remake(project: Project, recipe: Mapping[str, Any], sources: Any = None) -> 
         )
     sources = sources_of(project) if sources is None else sources
     exists = np.array([name in recipe["parts"] for name in sources.part_names])
-    hidden = [np.array(layer, machine.bias1.dtype)[None] for layer in recipe["hidden"]]
-    points = points_of(machine, Latents(*hidden, exists[None]))
+    hidden = [np.array(layer, machine.dtype)[None] for layer in recipe["hidden"]]
+    points = points_of(machine, Latents(tuple(hidden), exists[None]))
     taken = [recipe["sources"].get(name, "") for name in sources.part_names]
     unknown = sorted({name for name in taken if name and name not in sources.names})
     if unknown:

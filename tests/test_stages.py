@@ -270,10 +270,10 @@ def test_a_stopped_learning_goes_on(done: Project, tmp_path: Path, monkeypatch: 
             break
     steps.send(None)  # the checkpoint of the first step is written, the second step is reported
     steps.close()
-    assert states(project)["learn"] == "partial" and np.array_equal(project.machine().bias3, before.bias3)
+    assert states(project)["learn"] == "partial" and np.array_equal(project.machine().biases[-1], before.biases[-1])
     again = list(run(project, "learn"))
     assert again[0].message.startswith("goes on") and all(not step.phase.startswith("layer") for step in again)
-    assert states(project)["learn"] == "done" and not np.array_equal(project.machine().bias3, before.bias3)
+    assert states(project)["learn"] == "done" and not np.array_equal(project.machine().biases[-1], before.biases[-1])
 
 
 def test_a_watched_fit_equals_an_unwatched_one_whatever_the_workers(done: Project, tmp_path: Path) -> None:
@@ -350,7 +350,7 @@ def test_refine_replaces_fit_and_machine(done: Project, tmp_path: Path) -> None:
     assert states(project)["refine"] == "done" and states(project)["synthesize"] == "stale"
     assert project.fit_stage == project.machine_stage == "refine"
     assert contents(project) != before and project.fit().round == 5
-    assert not np.array_equal(project.machine().weights12, machine.weights12)
+    assert not np.array_equal(project.machine().couplings[0], machine.couplings[0])
     last(run(project, "fit", rounds=1))
     assert project.fit_stage == "fit" and states(project)["refine"] == "stale"
 

@@ -77,3 +77,39 @@ def reconstruction_loss(both, rest, target, row_weight, rounding, floor):
             both[r, n + f] = -slope * a if free_b else zero
         sums[r] = total
     return sums
+
+
+@njit(cache=True, nogil=True)
+def neighbour_signs(values, start, index, block, signs):
+    """For rows of ``values`` (n, F): ``signs`` (n, F) int32 = Σ sign(own - neighbour's) over the neighbours of a row.
+
+    Row i's neighbours are ``index[start[i] : start[i + 1]]``.  ``block`` (n, B) is room for B features at a time, so
+    that what is compared lies together in the cache.
+    """
+    n, n_features = values.shape
+    width = block.shape[1]
+    for first in range(0, n_features, width):
+        stop = min(first + width, n_features)
+        size = stop - first
+        for i in range(n):
+            for f in range(size):
+                block[i, f] = values[i, first + f]
+        for i in range(n):
+            for f in range(size):
+                signs[i, first + f] = 0
+            for j in range(start[i], start[i + 1]):
+                other = index[j]
+                for f in range(size):
+                    a, b = block[i, f], block[other, f]
+                    signs[i, first + f] += np.int32(a > b) - np.int32(a < b)
+
+
+@njit(cache=True, nogil=True)
+def prior_step(parameter, signs, per_sign, sparse):
+    """Flat ``parameter`` (n, F) in place: less ``per_sign`` (n,) x signs (n, F), then ``sparse`` closer to 0 (L1)."""
+    rows, columns = parameter.shape
+    zero = parameter.dtype.type(0)
+    for i in range(rows):
+        for f in range(columns):
+            value = parameter[i, f] - per_sign[i] * signs[i, f]
+            parameter[i, f] = max(value - sparse, zero) if value > zero else min(value + sparse, zero)

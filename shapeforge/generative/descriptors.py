@@ -13,11 +13,11 @@ from shapeforge.generative.observations import Observations
 def describe_shapes(
     machine: BetaShapeMachine, observations: Observations, existence_weight: float = 0.25
 ) -> Float[np.ndarray, "T F"]:
-    """q(H3) beside weighted E (T, O + L), for 1-nearest-neighbour with the L1 distance.
+    """q of the top layer beside weighted E (T, O + L), for 1-nearest-neighbour with the L1 distance.
 
-    H3 alone knows the parts only through their shape; one part more or less counts as ``existence_weight`` x O units
-    turned over (O the size of H3).
+    The top alone knows the parts only through their shape; one part more or less counts as ``existence_weight`` x O
+    units turned over (O the size of the top).
     """
     latents = infer(machine, observations.values, observations.exists)
-    weight = existence_weight * latents.hidden3.shape[1]
-    return np.concatenate([latents.hidden3, weight * observations.exists], axis=1).astype(np.float32)
+    weight = existence_weight * latents.top.shape[1]
+    return np.concatenate([latents.top, weight * observations.exists], axis=1).astype(np.float32)

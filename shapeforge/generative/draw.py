@@ -1,7 +1,8 @@
-"""Drawing new shapes: a mixture over the top layer and the existence of parts, then top-down mean field (§5).
+"""Drawing new shapes: kernels on the codes of the family's shapes, all layers at once, then Betas' means (§5).
 
-Independent units, or Gibbs sampling between H2 and H3, draw clumps.  A mixture of Bernoullis fitted to (q(H3), E) of
-the training shapes holds the modes apart, and draws the parts and the top code of a shape from the *same* component.
+Independent units, or Gibbs sampling between H2 and H3, draw clumps; so does a mixture of Bernoullis over the top alone,
+and what the top leaves unexplained is then missing from every draw.  Here a draw starts from the logits of all layers
+of one shape and goes part of the way towards a random combination of the shapes with the same parts.
 """
 
 from __future__ import annotations
@@ -9,31 +10,29 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy.special import logsumexp
+from jaxtyping import Bool, Float, Int
 
 from shapeforge.generative.inference import Latents, decode, descend, infer, logit, sigmoid
 from shapeforge.generative.machine import BetaShapeMachine
 from shapeforge.generative.observations import Observations
 
-MOST_COMPONENTS = 100
-DOUBT = 0.5
-"""Shapes' worth of doubt added to every component's probabilities, spread as in the whole family."""
+WIDTH = 0.5
+"""Standard deviation of a kernel, as a share of that of the shapes with the same parts."""
+
+LARGEST_LOGIT = 8.0
+FEW = 4.0
+"""A combination of parts with as many shapes as this varies half as it did itself, half as the others did."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """C components over H3 and E: ``weight`` (C,), ``top`` (C, O) and ``existence`` (C, L) probabilities.
+    """One kernel for each of T shapes: ``codes`` (T, A) are the logits of all layers side by side, ``sizes`` the number
+    of units of each; ``patterns`` (S, L) are the combinations of parts seen, ``which`` (T,) that of every shape."""
 
-    ``patterns`` (S, L) are the combinations of parts seen in training and ``pattern_weight`` (C, S) how often each
-    component has them: draws keep to them, so that no chair stands on two kinds of legs.
-    """
-
-    weight: Float[np.ndarray, " C"]
-    top: Float[np.ndarray, "C O"]
-    existence: Float[np.ndarray, "C L"]
+    codes: Float[np.ndarray, "T A"]
+    sizes: Int[np.ndarray, " l"]
     patterns: Bool[np.ndarray, "S L"]
-    pattern_weight: Float[np.ndarray, "C S"]
+    which: Int[np.ndarray, " T"]
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Everything as named arrays."""
@@ -43,6 +42,10 @@ class Mixture:
     def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Mixture:
         """The inverse of ``to_arrays``."""
         return cls(**{field.name: arrays[field.name] for field in fields(cls)})
+
+    def layers(self, codes: Float[np.ndarray, "n A"]) -> tuple[Float[np.ndarray, "n _"], ...]:
+        """Probabilities of the units of every layer from rows of codes."""
+        return tuple(sigmoid(part) for part in np.split(codes, np.cumsum(self.sizes)[:-1], axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,45 +57,12 @@ class Draw:
     latents: Latents
 
 
-def fit_mixture(
-    machine: BetaShapeMachine,
-    observations: Observations,
-    *,
-    rng: np.random.Generator,
-    components: int | None = None,
-    rounds: int = 60,
-) -> Mixture:
-    """EM of a mixture of Bernoullis on (q(H3), E) of the training shapes.
-
-    ``components`` defaults to one per shape, at most 100: fewer draw less variety and were easier to tell from real
-    shapes.  Starts from shapes picked far apart (k-means++).
-    """
-    q = infer(machine, observations.values, observations.exists).hidden3.astype(float)
-    exists = observations.exists.astype(float)
-    n = len(q)
-    count = min(n, MOST_COMPONENTS if components is None else components)
-    data = np.concatenate([q, exists], axis=1)
-    overall = (data.sum(axis=0) + 0.5) / (n + 1)
-    centres = data[_spread_out(data, count, rng)] * 0.8 + 0.2 * overall
-    weight = np.full(count, 1 / count)
-    before = -np.inf
-    for _ in range(rounds):
-        joint = np.log(weight) + _log_bernoulli(data, centres)
-        total = logsumexp(joint, axis=1, keepdims=True)
-        share = np.exp(joint - total)
-        mass = share.sum(axis=0)
-        weight = (mass + 1e-3) / (mass + 1e-3).sum()
-        centres = (share.T @ data + DOUBT * overall) / (mass[:, None] + DOUBT)
-        if total.mean() - before < 1e-6 * abs(before):
-            break
-        before = float(total.mean())
+def fit_mixture(machine: BetaShapeMachine, observations: Observations) -> Mixture:
+    """The kernels of a family: what the machine takes each of its shapes to be."""
+    latents = infer(machine, observations.values, observations.exists)
+    codes = np.clip(np.concatenate([logit(layer) for layer in latents.layers], axis=1), -LARGEST_LOGIT, LARGEST_LOGIT)
     patterns, which = np.unique(observations.exists, axis=0, return_inverse=True)
-    pattern_weight = np.stack([np.bincount(which, share[:, c], len(patterns)) for c in range(count)])
-    pattern_weight += 1e-9
-    return Mixture(
-        weight, centres[:, : q.shape[1]], centres[:, q.shape[1] :], patterns,
-        pattern_weight / pattern_weight.sum(axis=1, keepdims=True),
-    )  # fmt: skip
+    return Mixture(codes.astype(np.float32), np.array(machine.sizes), patterns, which.reshape(-1))
 
 
 def draw(
@@ -104,52 +74,72 @@ def draw(
     exists: Bool[np.ndarray, " L"] | None = None,
     temperature: float = 1.0,
 ) -> Draw:
-    """n new shapes: a component, its parts, its top units, then top-down mean field and the mean of every Beta.
+    """n new shapes: the parts and roughly the code of a shape of the family, then the mean of every Beta.
 
-    ``exists`` asks for these parts (any combination): components are then chosen by how well it suits them.
+    ``exists`` asks for these parts (any combination): shapes that have most nearly these are then started from.
     ``temperature`` below 1 draws more typical shapes, above 1 more unusual ones.
     """
     if n < 1:
         raise ValueError(f"n: wanted at least 1 shape, got {n}; usually a count of 0 was asked for")
     if temperature <= 0:
         raise ValueError(f"temperature: wanted a positive number, got {temperature}; use e.g. 0.1 for typical shapes")
-    weight = mixture.weight
+    codes, states = draw_codes(mixture, n, rng=rng, exists=exists, temperature=temperature)
+    latents = Latents(mixture.layers(codes.astype(machine.dtype)), states)
+    return Draw(machine.to_positions(decode(machine, latents), states), states, latents)
+
+
+def draw_codes(
+    mixture: Mixture,
+    n: int,
+    *,
+    rng: np.random.Generator,
+    exists: Bool[np.ndarray, " L"] | None = None,
+    temperature: float = 1.0,
+    prefer: Float[np.ndarray, " T"] | None = None,
+    needed: Int[np.ndarray, " m"] | None = None,
+) -> tuple[Float[np.ndarray, "n A"], Bool[np.ndarray, "n L"]]:
+    """Codes (n, A) and parts (n, L) of n draws.
+
+    ``prefer`` (nats) says which shapes to start from rather than others; parts ``needed`` (by index) are there.
+    """
+    of_shape = mixture.patterns[mixture.which]
+    lacking = np.zeros(len(of_shape), int)
     if exists is not None:
-        fit = np.log(weight) + _log_bernoulli(exists[None].astype(float), mixture.existence)[0]
-        weight = np.exp(fit - logsumexp(fit))
+        lacking = (of_shape != exists).sum(axis=1)
+    elif needed is not None:
+        lacking = (~of_shape[:, needed]).sum(axis=1)
+    weight = np.where(lacking == lacking.min(), 0.0 if prefer is None else prefer, -np.inf)
+    weight = np.exp(weight - weight.max())
     chosen = rng.choice(len(weight), n, p=weight / weight.sum())
-    if exists is None:
-        which = [rng.choice(len(mixture.patterns), p=mixture.pattern_weight[c]) for c in chosen]
-        states = mixture.patterns[which]
-    else:
-        states = np.broadcast_to(exists, (n, len(exists))).copy()
-    probability = sigmoid(logit(mixture.top[chosen]) / temperature)
-    top = (rng.random(probability.shape) < probability).astype(machine.bias1.dtype)
-    return shape_of_top(machine, top, states)
+    states = of_shape[chosen] if exists is None else np.broadcast_to(exists, (n, len(exists))).copy()
+    if needed is not None:
+        states[:, needed] = True
+    return _around(mixture, chosen, temperature, rng), states
+
+
+def _around(mixture: Mixture, chosen: np.ndarray, temperature: float, rng: np.random.Generator) -> np.ndarray:
+    """Codes (n, A) near those of the chosen shapes."""
+    counts = np.bincount(mixture.which)
+    means = np.stack([mixture.codes[mixture.which == index].mean(axis=0) for index in range(len(counts))])
+    moved = mixture.codes - means[mixture.which]
+    free = len(moved) - len(counts)
+    # Where no two shapes have the same parts, all are taken as one crowd.
+    everybody, free = (
+        (moved, free) if free > 0 else (mixture.codes - mixture.codes.mean(axis=0), max(len(moved) - 1, 1))
+    )
+    codes = np.empty((len(chosen), moved.shape[1]))
+    for index in np.unique(mixture.which[chosen]):
+        rows, own = mixture.which[chosen] == index, moved[mixture.which == index]
+        trust = 0.0 if len(own) < 2 else len(own) / (len(own) + FEW)
+        alike = rng.standard_normal((rows.sum(), len(own))) @ own / np.sqrt(max(len(own) - 1, 1))
+        others = rng.standard_normal((rows.sum(), len(moved))) @ everybody / np.sqrt(free)
+        noise = np.sqrt(trust) * alike + np.sqrt(1 - trust) * others
+        away = np.sqrt(1 - WIDTH**2) * moved[chosen[rows]] + WIDTH * noise
+        codes[rows] = means[index] + temperature * away
+    return np.clip(codes, -LARGEST_LOGIT, LARGEST_LOGIT)
 
 
 def shape_of_top(machine: BetaShapeMachine, top: Float[np.ndarray, "n O"], exists: Bool[np.ndarray, "n L"]) -> Draw:
-    """The shapes of given H3 values (n, O), binary or probabilities, with these parts."""
-    hidden1, hidden2 = descend(machine, top)
-    latents = Latents(hidden1, hidden2, top.astype(hidden1.dtype), exists)
+    """The shapes of given values of the top layer (n, O), binary or probabilities, with these parts."""
+    latents = Latents(descend(machine, top), exists)
     return Draw(machine.to_positions(decode(machine, latents), exists), exists, latents)
-
-
-def _log_bernoulli(data: np.ndarray, centres: np.ndarray) -> np.ndarray:
-    """Expected ln probability (n, C) of soft binary data (n, A) under centres (C, A)."""
-    safe = np.clip(centres, 1e-4, 1 - 1e-4)
-    return data @ np.log(safe).T + (1 - data) @ np.log1p(-safe).T
-
-
-def _spread_out(data: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Indices of ``count`` rows, each picked with probability proportional to its squared distance from the others."""
-    picked = [int(rng.integers(len(data)))]
-    nearest = ((data - data[picked[0]]) ** 2).sum(axis=1)
-    while len(picked) < count:
-        if nearest.sum() <= 1e-12:
-            rest = np.setdiff1d(np.arange(len(data)), picked)
-            picked.extend(rest[: count - len(picked)].tolist())
-            break
-        picked.append(int(rng.choice(len(data), p=nearest / nearest.sum())))
-        nearest = np.minimum(nearest, ((data - data[picked[-1]]) ** 2).sum(axis=1))
-    return np.array(picked)

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from shapeforge.generative.machine import BetaShapeMachine
 
-
-class Hidden(NamedTuple):
-    """Values or expectations of the three hidden layers: (n, M), (n, N), (n, O)."""
-
-    first: np.ndarray
-    second: np.ndarray
-    third: np.ndarray
+Hidden = Sequence[np.ndarray]
+"""Values or expectations of the hidden layers, H1 first: (n, M), (n, N), (n, O) with three."""
 
 
 def log_features(values: np.ndarray) -> np.ndarray:
@@ -24,7 +20,7 @@ def log_features(values: np.ndarray) -> np.ndarray:
 
 
 def _centred(machine: BetaShapeMachine, hidden: Hidden) -> Hidden:
-    return Hidden(hidden.first - machine.centre1, hidden.second - machine.centre2, hidden.third - machine.centre3)
+    return [layer - centre for layer, centre in zip(hidden, machine.centres, strict=True)]
 
 
 def log_unnormalized(
@@ -32,17 +28,16 @@ def log_unnormalized(
 ) -> Float[np.ndarray, " n"]:
     """ln p~(D, H | E) (n,), Eq. 2 without its structure terms (see the head of ``machine`` for the centred form)."""
     moved = _centred(machine, hidden)
-    total = (
-        hidden.first @ machine.bias1 + hidden.second @ machine.bias2 + hidden.third @ machine.bias3
-        + np.einsum("nm,mo,no->n", moved.first, machine.weights12, moved.second)
-        + np.einsum("nm,mo,no->n", moved.second, machine.weights23, moved.third)
-        + np.einsum("nl,lo,no->n", exists - machine.existence_centre, machine.existence_top, hidden.third)
-    )  # fmt: skip
+    total = np.einsum("nl,lo,no->n", exists - machine.existence_centre, machine.existence_top, hidden[-1])
+    for layer, bias in zip(hidden, machine.biases, strict=True):
+        total = total + layer @ bias
+    for index, coupling in enumerate(machine.couplings):
+        total = total + np.einsum("nm,mo,no->n", moved[index], coupling, moved[index + 1])
     for index, slot in enumerate(machine.units_of_part):
         features = log_features(machine.coordinates(values, index))
         own = np.einsum("nsf,sf->n", features, machine.rest[index] - 1)
         own = own + np.einsum(
-            "nsf,sfm,nm->n", features - machine.data_centre[index], machine.weights[index], moved.first[:, slot]
+            "nsf,sfm,nm->n", features - machine.data_centre[index], machine.weights[index], moved[0][:, slot]
         )
         total = total + np.where(exists[:, index], own, 0)
     return total
@@ -61,23 +56,20 @@ def log_unnormalized_gradient(
     for index, slot in enumerate(machine.units_of_part):
         features = log_features(machine.coordinates(values, index)) * exists[:, index, None, None]
         centred = features - machine.data_centre[index] * exists[:, index, None, None]
-        weights.append(np.einsum("nsf,nm->sfm", centred, moved.first[:, slot]))
+        weights.append(np.einsum("nsf,nm->sfm", centred, moved[0][:, slot]))
         rest.append(features.sum(axis=0))
     return {
         "weights": tuple(weights),
         "rest": tuple(rest),
-        "bias1": hidden.first.sum(axis=0),
-        "bias2": hidden.second.sum(axis=0),
-        "bias3": hidden.third.sum(axis=0),
-        "weights12": moved.first.T @ moved.second,
-        "weights23": moved.second.T @ moved.third,
-        "existence_top": (exists - machine.existence_centre).T @ hidden.third,
+        "biases": tuple(layer.sum(axis=0) for layer in hidden),
+        "couplings": tuple(below.T @ above for below, above in pairwise(moved)),
+        "existence_top": (exists - machine.existence_centre).T @ hidden[-1],
     }
 
 
 def entropy(hidden: Hidden) -> Float[np.ndarray, " n"]:
     """Entropy (n,) in nats of independent binary units with these probabilities."""
-    total = np.zeros(len(hidden.first))
+    total = np.zeros(len(hidden[0]))
     for layer in hidden:
         q = np.clip(layer, 1e-12, 1 - 1e-12)
         total -= (q * np.log(q) + (1 - q) * np.log1p(-q)).sum(axis=1)

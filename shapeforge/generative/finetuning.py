@@ -1,10 +1,10 @@
 """One step of fine-tuning: a loss through the unrolled mean field, and its gradient by a reverse pass written out.
 
-Up: three rounds of H1, H2, H3 from the points.  H3 is sampled (straight-through: its derivative is that of its
-probability).  Down: H2, H1, the points.  The loss asks the shape back twice, from H1 and from the sampled H3, and keeps
-q(H3) near a prior p(H3 | E) so that the top stays a code worth drawing from:
+Up: three rounds through all layers from the points.  The top (H3 in the print) is sampled (straight-through: its
+derivative is that of its probability).  Down: the layers below, the points.  The loss asks the shape back twice, from
+H1 and from the sampled top, and keeps q(top) near a prior p(top | E) so that the top stays a code worth drawing from:
 
-    100 error(from H3) + 30 error(from H1) + β KL(q(H3) || p(H3 | E))
+    100 error(from the top) + 30 error(from H1) + β KL(q(top) || p(top | E))
 
 Errors are means over all coordinates, each part's divided by the share of shapes that have the part: a part seldom seen
 is learned as well as a common one.
@@ -14,12 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from shapeforge.generative._kernels import reconstruction_loss
-from shapeforge.generative.inference import DOWN_ROUNDS, UP_ROUNDS, gated_features, sigmoid
+from shapeforge.generative.inference import DOWN_ROUNDS, UP_ROUNDS, gated_features, settle, sigmoid
 from shapeforge.generative.machine import FLOOR, BetaShapeMachine
 
 TOP_WEIGHT, FIRST_WEIGHT, DIVERGENCE_WEIGHT = 100.0, 30.0, 1e-3
@@ -29,7 +30,7 @@ ROUNDING = 2e-3
 
 @dataclass(frozen=True, eq=False)
 class TopPrior:
-    """p(H3 | E): logit = bias + E weights.  Needed while learning only; the mixture of ``draw`` takes its place."""
+    """p(top | E): logit = bias + E weights.  Needed while learning only; the mixture of ``draw`` takes its place."""
 
     bias: Float[np.ndarray, " O"]
     weights: Float[np.ndarray, "L O"]
@@ -38,7 +39,7 @@ class TopPrior:
 @dataclass(frozen=True, eq=False)
 class Batch:
     """Shapes of one step: ``values`` (B, K, 3), ``exists`` (B, L), ``part_weight`` (L,) = 1 / share of the shapes with
-    the part; ``noise`` (B, O) = sampled H3 minus its probability is drawn from ``uniform`` (B, O), or given."""
+    the part; ``noise`` (B, O) = the sampled top minus its probability is drawn from ``uniform`` (B, O), or given."""
 
     values: Float[np.ndarray, "B K 3"]
     exists: Bool[np.ndarray, "B L"]
@@ -66,38 +67,39 @@ def loss_and_gradient(
     their results combined in order, so that the answer does not depend on it.
     """
     n, parts = len(batch.values), range(machine.n_parts)
-    dtype = machine.bias1.dtype
+    dtype = machine.dtype
 
     # --- up -------------------------------------------------------------------------------------------------------
     features = list(run(lambda l: gated_features(machine, batch.values, batch.exists, l), parts))  # noqa: E741
     flat = [weight.reshape(-1, weight.shape[2]) for weight in machine.weights]
-    pull = machine.bias1 + np.concatenate(list(run(lambda l: features[l] @ flat[l], parts)), axis=1)  # noqa: E741
+    said = np.concatenate(list(run(lambda l: features[l] @ flat[l], parts)), axis=1)  # noqa: E741
     known = (batch.exists - machine.existence_centre).astype(dtype)
-    told = machine.bias3 + known @ machine.existence_top
-    moved2 = [np.zeros((n, len(machine.bias2)), dtype)]
-    moved3 = [np.zeros((n, len(machine.bias3)), dtype)]
-    moved1 = []
-    for _ in range(UP_ROUNDS):
-        moved1.append(sigmoid(pull + moved2[-1] @ machine.weights12.T) - machine.centre1)
-        second = sigmoid(machine.bias2 + moved1[-1] @ machine.weights12 + moved3[-1] @ machine.weights23.T)
-        moved2.append(second - machine.centre2)
-        moved3.append(sigmoid(told + moved2[-1] @ machine.weights23) - machine.centre3)
-    top = moved3[-1] + machine.centre3
+    totals = list(machine.biases)
+    totals[0] = totals[0] + said
+    totals[-1] = totals[-1] + known @ machine.existence_top
+    last = machine.n_layers - 1
+    moved: list[np.ndarray | None] = [None] * machine.n_layers
+    up: list[_Step] = []
+    for _ in range(UP_ROUNDS if last else 1):
+        for index in range(machine.n_layers):
+            moved[index] = settle(machine, index, totals[index], moved)
+            up.append(_Step(index, list(moved)))
+    first, top = moved[0], moved[-1] + machine.centres[-1]
     noise = batch.noise
     if noise is None:
         noise = (batch.uniform < top).astype(dtype) - top if batch.uniform is not None else np.zeros_like(top)
 
     # --- down -----------------------------------------------------------------------------------------------------
-    sampled = moved3[-1] + noise
-    from_top = machine.bias2 + sampled @ machine.weights23.T
-    down1, down2 = [np.zeros((n, len(machine.bias1)), dtype)], []
-    for _ in range(DOWN_ROUNDS):
-        down2.append(sigmoid(from_top + down1[-1] @ machine.weights12) - machine.centre2)
-        down1.append(sigmoid(machine.bias1 + down2[-1] @ machine.weights12.T) - machine.centre1)
+    moved = [None] * last + [moved[-1] + noise]
+    down: list[_Step] = []
+    for _ in range(DOWN_ROUNDS if last > 1 else 1):
+        for index in reversed(range(last)):
+            moved[index] = settle(machine, index, machine.biases[index], moved)
+            down.append(_Step(index, list(moved)))
 
     # --- the points, and back to H1 --------------------------------------------------------------------------------
     per_coordinate = 1.0 / (n * 3 * machine.n_points)
-    codes = np.concatenate([down1[-1], moved1[-1]])
+    codes = np.concatenate([moved[0], first])
     importance = np.repeat(np.array([TOP_WEIGHT, FIRST_WEIGHT]), n)
 
     def reconstruct(part: int):
@@ -123,47 +125,19 @@ def loss_and_gradient(
     divergence = sure * surplus + np.log1p(-sure) - np.log1p(-chance)
     d_prior = (DIVERGENCE_WEIGHT / n) * (expected - top)
 
-    # --- reverse: down ----------------------------------------------------------------------------------------------
-    w12, w23 = machine.weights12, machine.weights23
-    g12, g23 = np.zeros_like(w12), np.zeros_like(w23)
-    d_bias1, d_bias2 = np.zeros_like(machine.bias1), np.zeros_like(machine.bias2)
-    d_from_top = np.zeros_like(from_top)
-    d_one = d_codes[:n]
-    for index in reversed(range(DOWN_ROUNDS)):
-        d_one = d_one * _slope(down1[index + 1] + machine.centre1)
-        d_bias1 += d_one.sum(axis=0)
-        g12 += d_one.T @ down2[index]
-        d_two = (d_one @ w12) * _slope(down2[index] + machine.centre2)
-        d_from_top += d_two
-        g12 += down1[index].T @ d_two
-        d_one = d_two @ w12.T
-    d_bias2 += d_from_top.sum(axis=0)
-    g23 += d_from_top.T @ sampled
-
-    # --- reverse: up ------------------------------------------------------------------------------------------------
-    d_three = d_from_top @ w23 + (DIVERGENCE_WEIGHT / n) * surplus.astype(dtype)
-    d_two = np.zeros_like(moved2[0])
-    d_one = d_codes[n:]
-    d_pull, d_told = np.zeros_like(pull), np.zeros_like(told)
-    for index in reversed(range(UP_ROUNDS)):
-        d_three = d_three * _slope(moved3[index + 1] + machine.centre3)
-        d_told += d_three
-        g23 += moved2[index + 1].T @ d_three
-        d_two = (d_two + d_three @ w23.T) * _slope(moved2[index + 1] + machine.centre2)
-        d_bias2 += d_two.sum(axis=0)
-        g12 += moved1[index].T @ d_two
-        g23 += d_two.T @ moved3[index]
-        d_three = d_two @ w23
-        d_one = (d_one + d_two @ w12.T) * _slope(moved1[index] + machine.centre1)
-        d_pull += d_one
-        g12 += d_one.T @ moved2[index]
-        d_two, d_one = d_one @ w12, np.zeros_like(d_one)
-    d_bias1 += d_pull.sum(axis=0)
+    # --- reverse ----------------------------------------------------------------------------------------------------
+    back_to = _Slopes.zero(machine)
+    d_down: list[np.ndarray | None] = [d_codes[:n], *[None] * last]
+    back_to.through(down, d_down, of_sampled=True)
+    d_up: list[np.ndarray | None] = [d_codes[n:], *[None] * last]
+    d_up[-1] = _plus(d_up[-1], d_down[-1] + (DIVERGENCE_WEIGHT / n) * surplus.astype(dtype))
+    back_to.through(up, d_up)
+    d_said, d_told = back_to.inputs[0], back_to.inputs[-1]
 
     def gather(part: int):
         _, code, both, _ = back[part]
         slot, weight = machine.units_of_part[part], machine.weights[part]
-        rows, columns = np.concatenate([both, features[part]]), np.concatenate([code, d_pull[:, slot]])
+        rows, columns = np.concatenate([both, features[part]]), np.concatenate([code, d_said[:, slot]])
         return (rows.T @ columns).reshape(weight.shape), both.sum(axis=0).reshape(2, -1)
 
     gathered = list(run(gather, parts))
@@ -176,12 +150,57 @@ def loss_and_gradient(
     return terms, {
         "weights": tuple(item[0] for item in gathered),
         "rest": tuple(item[1] for item in gathered),
-        "bias1": d_bias1, "weights12": g12, "bias2": d_bias2, "weights23": g23,
-        "bias3": d_told.sum(axis=0), "existence_top": known.T @ d_told,
+        "biases": tuple(back_to.biases), "couplings": tuple(back_to.couplings), "existence_top": known.T @ d_told,
         "prior_bias": d_prior.sum(axis=0), "prior_weights": batch.exists.astype(dtype).T @ d_prior,
     }  # fmt: skip
 
 
-def _slope(probability: np.ndarray) -> np.ndarray:
-    """Derivative of the sigmoid, from its value."""
-    return probability * (1 - probability)
+class _Step(NamedTuple):
+    """One layer was settled; ``moved`` is every layer (less its centre, None: at its centre) just after that."""
+
+    index: int
+    moved: list[np.ndarray | None]
+
+
+@dataclass(eq=False)
+class _Slopes:
+    """Derivatives of the loss while the steps are gone through backwards: of ``biases`` and ``couplings`` (summed over
+    all steps), and of the ``inputs`` (B, size) that came in going up from the points and from E."""
+
+    machine: BetaShapeMachine
+    biases: list[np.ndarray]
+    couplings: list[np.ndarray]
+    inputs: list[np.ndarray | None]
+
+    @classmethod
+    def zero(cls, machine: BetaShapeMachine) -> _Slopes:
+        biases, couplings = map(np.zeros_like, machine.biases), map(np.zeros_like, machine.couplings)
+        return cls(machine, list(biases), list(couplings), [None] * machine.n_layers)
+
+    def through(self, steps: list[_Step], slopes: list[np.ndarray | None], of_sampled: bool = False) -> None:
+        """Back through ``steps``; ``slopes`` are those of the layers after the last step (None: 0), and become those
+        before the first.  With ``of_sampled`` the top was given (sampled): nothing came in from points and E.
+        """
+        machine = self.machine
+        for step in reversed(steps):
+            index, slope = step.index, slopes[step.index]
+            slopes[index] = None
+            if slope is None:
+                continue
+            probability = step.moved[index] + machine.centres[index]
+            slope = slope * (probability * (1 - probability))
+            self.biases[index] += slope.sum(axis=0)
+            if not of_sampled:
+                self.inputs[index] = slope if self.inputs[index] is None else self.inputs[index] + slope
+            if index > 0 and step.moved[index - 1] is not None:
+                coupling = machine.couplings[index - 1]
+                self.couplings[index - 1] += step.moved[index - 1].T @ slope
+                slopes[index - 1] = _plus(slopes[index - 1], slope @ coupling.T)
+            if index + 1 < machine.n_layers and step.moved[index + 1] is not None:
+                coupling = machine.couplings[index]
+                self.couplings[index] += slope.T @ step.moved[index + 1]
+                slopes[index + 1] = _plus(slopes[index + 1], slope @ coupling)
+
+
+def _plus(total: np.ndarray | None, more: np.ndarray) -> np.ndarray:
+    return more if total is None else total + more

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,25 +11,33 @@ from jaxtyping import Bool, Float, Int
 from shapeforge.generative.machine import FLOOR, BetaShapeMachine
 
 UP_ROUNDS = 3
-"""Rounds of H1, H2, H3 from a given shape ("3 rounds", supplement 3)."""
+"""Rounds upwards from a given shape ("3 rounds", supplement 3)."""
 
 DOWN_ROUNDS = 2
-"""Rounds of H2, H1 from a given H3; the shape itself is read off at the end."""
+"""Rounds downwards from a given top; the shape itself is read off at the end."""
 
 
 @dataclass(frozen=True, eq=False)
 class Latents:
-    """Probabilities of the hidden units of n shapes, and which parts these have."""
+    """Probabilities of the hidden units of n shapes, ``layers[0]`` (n, M) of H1 first, and which parts these have."""
 
-    hidden1: Float[np.ndarray, "n M"]
-    hidden2: Float[np.ndarray, "n N"]
-    hidden3: Float[np.ndarray, "n O"]
+    layers: tuple[Float[np.ndarray, "n _"], ...]
     exists: Bool[np.ndarray, "n L"]
+
+    @property
+    def first(self) -> Float[np.ndarray, "n M"]:
+        """H1: what each part looks like."""
+        return self.layers[0]
+
+    @property
+    def top(self) -> Float[np.ndarray, "n O"]:
+        """The top layer (H3 in the print): the shape as a whole."""
+        return self.layers[-1]
 
     def __getitem__(self, shapes: int | slice | Int[np.ndarray, " m"]) -> Latents:
         """The latents of some shapes; an int keeps the leading axis."""
         rows = slice(shapes, shapes + 1 or None) if isinstance(shapes, int) else shapes
-        return Latents(self.hidden1[rows], self.hidden2[rows], self.hidden3[rows], self.exists[rows])
+        return Latents(tuple(layer[rows] for layer in self.layers), self.exists[rows])
 
 
 def sigmoid(x: np.ndarray) -> np.ndarray:
@@ -57,7 +66,7 @@ def first_layer_input(
     machine: BetaShapeMachine, values: Float[np.ndarray, "n K 3"], exists: Bool[np.ndarray, "n L"]
 ) -> Float[np.ndarray, "n M"]:
     """Input to H1 from its bias and the points (n, M); H2's part is not in it."""
-    total = np.broadcast_to(machine.bias1, (len(values), len(machine.bias1))).copy()
+    total = np.broadcast_to(machine.biases[0], (len(values), machine.sizes[0])).copy()
     for index, slot in enumerate(machine.units_of_part):
         weight = machine.weights[index]
         total[:, slot] += gated_features(machine, values, exists, index) @ weight.reshape(-1, weight.shape[2])
@@ -70,33 +79,40 @@ def infer(
     exists: Bool[np.ndarray, "n L"],
     rounds: int = UP_ROUNDS,
 ) -> Latents:
-    """Bottom-up mean field (supplement 3): latents of shapes, H2 and H3 starting at their centres."""
-    pull = first_layer_input(machine, values, exists)
-    told = (exists - machine.existence_centre).astype(pull.dtype) @ machine.existence_top + machine.bias3
-    moved2 = np.zeros((len(values), len(machine.bias2)), pull.dtype)
-    moved3 = np.zeros((len(values), len(machine.bias3)), pull.dtype)
-    hidden1 = sigmoid(pull)
+    """Bottom-up mean field (supplement 3): latents of shapes, layers above H1 starting at their centres."""
+    pull = [first_layer_input(machine, values, exists), *machine.biases[1:]]
+    known = (exists - machine.existence_centre).astype(machine.dtype)
+    pull[-1] = pull[-1] + known @ machine.existence_top
+    moved: list[np.ndarray | None] = [None] * machine.n_layers  # None: at its centre
     for _ in range(rounds):
-        hidden1 = sigmoid(pull + moved2 @ machine.weights12.T)
-        hidden2 = sigmoid(
-            machine.bias2 + (hidden1 - machine.centre1) @ machine.weights12 + moved3 @ machine.weights23.T
-        )
-        moved2 = hidden2 - machine.centre2
-        moved3 = sigmoid(told + moved2 @ machine.weights23) - machine.centre3
-    return Latents(hidden1, moved2 + machine.centre2, moved3 + machine.centre3, exists)
+        for index in range(machine.n_layers):
+            moved[index] = settle(machine, index, pull[index], moved)
+    return Latents(tuple(m + centre for m, centre in zip(moved, machine.centres, strict=True)), exists)
+
+
+def settle(machine: BetaShapeMachine, index: int, total: np.ndarray, moved: Sequence[np.ndarray | None]) -> np.ndarray:
+    """One layer given its neighbours: σ(``total`` + what the layers below and above say) - ν.
+
+    ``moved`` are the layers less their centres, None for one that is at its centre.
+    """
+    if index > 0 and moved[index - 1] is not None:
+        total = total + moved[index - 1] @ machine.couplings[index - 1]
+    if index + 1 < machine.n_layers and moved[index + 1] is not None:
+        total = total + moved[index + 1] @ machine.couplings[index].T
+    return sigmoid(total) - machine.centres[index]
 
 
 def descend(
-    machine: BetaShapeMachine, hidden3: Float[np.ndarray, "n O"], rounds: int = DOWN_ROUNDS
-) -> tuple[Float[np.ndarray, "n M"], Float[np.ndarray, "n N"]]:
-    """Top-down mean field of H1 and H2 given H3, without the points (H1 starts at its centre)."""
-    from_top = machine.bias2 + (hidden3.astype(machine.bias1.dtype) - machine.centre3) @ machine.weights23.T
-    moved1 = np.zeros((len(hidden3), len(machine.bias1)), from_top.dtype)
+    machine: BetaShapeMachine, top: Float[np.ndarray, "n O"], rounds: int = DOWN_ROUNDS
+) -> tuple[Float[np.ndarray, "n _"], ...]:
+    """Top-down mean field without the points (H1 starts at its centre): all layers, H1 first, ``top`` itself last."""
+    last = machine.n_layers - 1
+    moved: list[np.ndarray | None] = [None] * last + [top.astype(machine.dtype) - machine.centres[-1]]
     for _ in range(rounds):
-        hidden2 = sigmoid(from_top + moved1 @ machine.weights12)
-        hidden1 = sigmoid(machine.bias1 + (hidden2 - machine.centre2) @ machine.weights12.T)
-        moved1 = hidden1 - machine.centre1
-    return hidden1, hidden2
+        for index in reversed(range(last)):
+            moved[index] = settle(machine, index, machine.biases[index], moved)
+    below = (m + centre for m, centre in zip(moved[:last], machine.centres[:last], strict=True))
+    return *below, top.astype(machine.dtype)
 
 
 def beta_parameters(
@@ -104,7 +120,7 @@ def beta_parameters(
 ) -> Float[np.ndarray, "n 2 F"]:
     """[α, β] of one part's coordinates given H1: Ā + W (h - ν), not below FLOOR."""
     weight = machine.weights[part]
-    moved = hidden1[:, machine.units_of_part[part]] - machine.centre1[machine.units_of_part[part]]
+    moved = hidden1[:, machine.units_of_part[part]] - machine.centres[0][machine.units_of_part[part]]
     both = (moved @ weight.reshape(-1, weight.shape[2]).T).reshape(len(hidden1), 2, -1)
     both += machine.rest[part]
     return np.maximum(both, FLOOR, out=both)
@@ -122,7 +138,7 @@ def expected_values(machine: BetaShapeMachine, hidden1: Float[np.ndarray, "n M"]
 def decode(
     machine: BetaShapeMachine, top: Latents | Float[np.ndarray, "n O"], rounds: int = DOWN_ROUNDS
 ) -> Float[np.ndarray, "n K 3"]:
-    """Values in (0, 1) of latents (from their H1) or of H3 alone (n, O) (top-down mean field first)."""
+    """Values in (0, 1) of latents (from their H1) or of the top alone (n, O) (top-down mean field first)."""
     if isinstance(top, Latents):
-        return expected_values(machine, top.hidden1)
+        return expected_values(machine, top.first)
     return expected_values(machine, descend(machine, top, rounds)[0])

@@ -32,9 +32,9 @@ class GaussianPrior:
 
 
 def family_prior(machine: BetaShapeMachine, observations: Observations, strength: float = 1.0) -> GaussianPrior:
-    """The prior of every shape: the machine's reconstruction from H3, with precision ``strength`` / spread^2."""
+    """The prior of every shape: the machine's reconstruction from the top, with precision ``strength`` / spread^2."""
     latents = infer(machine, observations.values, observations.exists)
-    mean = machine.to_positions(decode(machine, latents.hidden3), observations.exists)
+    mean = machine.to_positions(decode(machine, latents.top), observations.exists)
     precision = np.broadcast_to(strength / machine.spread.astype(float) ** 2, mean.shape)
     return GaussianPrior(mean, np.where(np.isfinite(mean), precision, 0))
 
@@ -50,7 +50,7 @@ def shape_prior(
 def reconstruct(
     machine: BetaShapeMachine, positions: Float[np.ndarray, "T K 3"], from_top: bool = True
 ) -> tuple[Float[np.ndarray, "T K 3"], Bool[np.ndarray, "T L"]]:
-    """Shapes as the machine gives them back (from H3, or from H1), and the parts it took them to have."""
+    """Shapes as the machine gives them back (from the top, or from H1), and the parts it took them to have."""
     seen = observe(positions, machine.part, machine.part_names, machine.low, machine.high)
     latents = infer(machine, seen.values, seen.exists)
-    return machine.to_positions(decode(machine, latents.hidden3 if from_top else latents), seen.exists), seen.exists
+    return machine.to_positions(decode(machine, latents.top if from_top else latents), seen.exists), seen.exists

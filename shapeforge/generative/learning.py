@@ -12,18 +12,18 @@ from threadpoolctl import threadpool_limits
 
 from shapeforge.generative._kernels import adam_step
 from shapeforge.generative.finetuning import Batch, TopPrior, loss_and_gradient
-from shapeforge.generative.inference import Latents, decode, infer, sigmoid
-from shapeforge.generative.machine import BetaShapeMachine, project, recentre, start_machine
+from shapeforge.generative.inference import Latents, decode, first_layer_input, infer, sigmoid
+from shapeforge.generative.machine import BetaShapeMachine, Sizes, project, recentre, start_machine
 from shapeforge.generative.observations import LIMIT, Observations
 from shapeforge.generative.pretraining import BATCH, pretrain_pair, pretrain_points
+from shapeforge.generative.priors import EVERY, Strengths, apply_priors, near_points
 from shapeforge.generative.structure import fit_structure
 
 STEPS = 1600
 """Fine-tuning steps when no number of epochs is asked for: small families need many epochs, large ones few."""
 
 RATE = 3e-3
-DECAY = 0.1
-"""Decoupled weight decay of Adam, on the pairwise weights only."""
+DEFAULT_STRENGTHS = Strengths()
 
 FURTHEST, WIDER = 3.0, 5.0
 """Of the variations that a family is enriched with: see ``vary``."""
@@ -36,7 +36,7 @@ RAREST_SHARE = 0.1
 @dataclass(frozen=True, eq=False)
 class LearnState:
     """Where learning stands after one epoch.  Errors are mean |D - D'| over the existing points, in diagonals, through
-    a sampled H3 (in pre-training: of the layer under way, in its own units); ``held_out_error`` is NaN without a
+    a sampled top (in pre-training: of the layer under way, in its own units); ``held_out_error`` is NaN without a
     validation split.  ``dead_units`` is the share of units per layer that hardly move over the shapes."""
 
     epoch: int
@@ -46,7 +46,7 @@ class LearnState:
     train_error: float
     held_out_error: float
     first_error: float
-    dead_units: tuple[float, float, float]
+    dead_units: tuple[float, ...]
     stop_reason: str | None
 
 
@@ -58,60 +58,64 @@ def learn_machine(
     pretraining: int | None = None,
     executor: Executor | None = None,
     validation: float = 0.1,
-    sizes: tuple[list[int], int, int] | None = None,
+    sizes: Sizes | None = None,
     start: BetaShapeMachine | None = None,
     patience: float = 0.35,
+    held_out: Int[np.ndarray, " n"] | None = None,
+    strengths: Strengths = DEFAULT_STRENGTHS,
 ) -> Iterator[LearnState]:
     """Learn a machine; one state per epoch.  The last state holds the best machine by held-out error (see ``_score``).
 
     ``epochs`` of fine-tuning (default: enough for about 1600 steps) and ``pretraining`` epochs per layer; a share
-    ``validation`` of the shapes is held out unless there are fewer than 10.  ``start`` continues from a machine (its
-    pre-training is skipped).  With threads as ``executor`` the parts are worked on side by side (a cluster is left
-    alone: see ``joint`` and the fit for what is worth one); the result is the same bytes.
+    ``validation`` of the shapes is held out unless there are fewer than 10, or just the shapes ``held_out``, by index.
+    ``strengths`` are those of the priors on the weights.  ``start`` continues from a machine (its pre-training is
+    skipped).  With threads as ``executor`` the parts are worked on side by side (a cluster is left alone: see ``joint``
+    and the fit for what is worth one); the result is the same bytes.
     Learning stops early when the held-out error has not fallen for a share ``patience`` of all epochs.
 
-    Raises ValueError with fewer than two shapes.
+    Raises ValueError with fewer than two shapes to learn from.
     """
-    if observations.n_shapes < 2:
+    if observations.n_shapes - (0 if held_out is None else len(np.unique(held_out))) < 2:
         raise ValueError(
-            f"observations: wanted at least 2 shapes, got {observations.n_shapes}; "
+            f"observations: wanted at least 2 shapes to learn from, got {observations.n_shapes}"
+            f"{'' if held_out is None else f' of which {len(np.unique(held_out))} are held out'}; "
             "usually most shapes of the family were left out before learning"
         )
     # steps on a part take milliseconds: threads gain by them, another process would only wait for its data
     run = executor.map if isinstance(executor, ThreadPoolExecutor) else map
-    train, held_out = _split(observations, validation, rng)
-    n_held_out = 0 if held_out is None else held_out.n_shapes
+    train, judges = split(observations, validation, rng=rng, held_out=held_out)
+    n_held_out = 0 if judges is None else judges.n_shapes
     batch_size = min(BATCH, train.n_shapes)
     steps = -(-train.n_shapes // batch_size)
     wanted = STEPS if start is None else STEPS // 3
     n_epochs = max(20, -(-wanted // steps)) if epochs is None else epochs
     n_first = max(10, min(200, -(-150 // steps))) if pretraining is None else pretraining
-    total = n_epochs + (0 if start is not None else 3 * n_first)
-    done = 0
+    done, total = 0, n_epochs
 
     if start is not None:
         machine = _continued(start, observations, rng)
     else:
         with threadpool_limits(1, "blas"):
-            machine = start_machine(observations, rng=rng, sizes=sizes)
+            machine = start_machine(train, rng=rng, sizes=sizes)
+        total += machine.n_layers * n_first
         for phase, machine, error in _pretrain(machine, train, rng, n_first, run):  # noqa: B020
             done += 1
-            yield LearnState(done, total, phase, machine, error, np.nan, error, (np.nan,) * 3, None)
+            yield LearnState(done, total, phase, machine, error, np.nan, error, (np.nan,) * machine.n_layers, None)
 
-    tuner = _Tuner.start(machine, train, rng, n_epochs * steps)
+    tuner = _Tuner.start(machine, train, strengths, n_epochs * steps)
     best, waited, every = None, 0, max(1, round(25 / steps))
     for epoch in range(1, n_epochs + 1):
         with threadpool_limits(1, "blas"):
             tuner.epoch(train, batch_size, rng, run)
             if epoch % every and epoch < n_epochs:
                 continue
-            state = _measure(tuner.machine, train, held_out, done + epoch, total)
+            state = _measure(tuner.machine, train, judges, done + epoch, total)
         if best is None or _score(state, n_held_out) < _score(best, n_held_out):
             best, waited = state, 0
         else:
             waited += 1
         stop = None
-        if held_out is not None and waited * every >= patience * n_epochs:
+        if judges is not None and waited * every >= patience * n_epochs:
             stop = f"The error on held-out shapes has not fallen for {waited * every} epochs."
         elif epoch == n_epochs:
             stop = "All epochs are done."
@@ -119,7 +123,7 @@ def learn_machine(
             yield state
             continue
         with threadpool_limits(1, "blas"):
-            finished = _calibrate(best.machine, observations, held_out)
+            finished = _calibrate(best.machine, observations, judges)
         yield replace(best, epoch=state.epoch, machine=finished, stop_reason=stop)
         return
 
@@ -136,9 +140,9 @@ def reconstruction_error(
 def sampled_reconstruction(
     machine: BetaShapeMachine, observations: Observations, *, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "T K 3"], Latents]:
-    """Every shape back through one binary sample of its H3, and its latents."""
+    """Every shape back through one binary sample of its top layer, and its latents."""
     latents = infer(machine, observations.values, observations.exists)
-    sample = (rng.random(latents.hidden3.shape) < latents.hidden3).astype(latents.hidden3.dtype)
+    sample = (rng.random(latents.top.shape) < latents.top).astype(latents.top.dtype)
     return decode(machine, sample), latents
 
 
@@ -155,9 +159,26 @@ def _continued(start: BetaShapeMachine, observations: Observations, rng: np.rand
     return replace(start.copy(), low=observations.low, high=observations.high, structure=structure)
 
 
-def _split(observations: Observations, share: float, rng: np.random.Generator):
-    """(training shapes, held-out shapes or None)."""
+def split(
+    observations: Observations,
+    share: float = 0.1,
+    *,
+    rng: np.random.Generator,
+    held_out: Int[np.ndarray, " n"] | None = None,
+) -> tuple[Observations, Observations | None]:
+    """(training shapes, held-out shapes or None): those named by index in ``held_out``, or a random share.
+
+    At least 2 and at most 200 are drawn, none from fewer than 10 shapes.  Raises ValueError for an index out of range.
+    """
     n = observations.n_shapes
+    if held_out is not None:
+        if len(held_out) and not (0 <= held_out.min() and held_out.max() < n):
+            raise ValueError(
+                f"held_out: wanted indices of shapes in 0..{n - 1}, got {held_out.min()}..{held_out.max()}; "
+                "usually the list was made for another collection"
+            )
+        rest = np.setdiff1d(np.arange(n), held_out)
+        return observations.subset(rest), observations.subset(np.unique(held_out)) if len(held_out) else None
     if n < FEWEST_TO_VALIDATE or share <= 0:
         return observations, None
     order = rng.permutation(n)
@@ -166,26 +187,32 @@ def _split(observations: Observations, share: float, rng: np.random.Generator):
 
 
 def _pretrain(machine, train, rng, epochs, run):
-    """Yield (phase, machine, error) per epoch of the three layers."""
+    """Yield (phase, machine, error) per epoch of each layer."""
     layers = pretrain_points(machine, train, rng=rng, epochs=epochs, run=run)
     for machine, error in _one_thread(layers):
         yield "layer1", machine, error * machine.diagonals_per_unit
     # The lower bias of a pair belongs to a machine without the layers below it.  It is used to learn the pair and then
-    # dropped: H1 keeps the bias it learned with the points, H2 the one it learned with H1.
-    lower = infer(machine, train.values, train.exists, rounds=1).hidden1
-    start = recentre(machine, np.clip(lower.mean(axis=0), 0.02, 0.98), machine.centre2, machine.centre3)
-    for arrays, error in _one_thread(pretrain_pair(lower, len(machine.bias2), rng=rng, epochs=epochs)):
-        machine = replace(
-            start, weights12=arrays["weights"], bias2=arrays["upper_bias"], centre2=arrays["upper_centre"]
-        )
-        yield "layer2", machine, error
-    lower = sigmoid(machine.bias2 + (lower - machine.centre1) @ machine.weights12)
-    start = recentre(machine, machine.centre1, np.clip(lower.mean(axis=0), 0.02, 0.98), machine.centre3)
-    for arrays, error in _one_thread(pretrain_pair(lower, len(machine.bias3), rng=rng, epochs=epochs)):
-        machine = replace(
-            start, weights23=arrays["weights"], bias3=arrays["upper_bias"], centre3=arrays["upper_centre"]
-        )
-        yield "layer3", machine, error
+    # dropped: H1 keeps the bias it learned with the points, H2 the one it learned with H1, and so on.
+    lower = first_layer_input(machine, train.values, train.exists)
+    for index in range(machine.n_layers - 1):
+        lower = sigmoid(machine.biases[index] * (index > 0) + lower)
+        centres = list(machine.centres)
+        centres[index] = np.clip(lower.mean(axis=0), 0.02, 0.98)
+        start = recentre(machine, centres)
+        pair = pretrain_pair(lower, machine.sizes[index + 1], rng=rng, epochs=epochs)
+        for arrays, error in _one_thread(pair):
+            machine = replace(
+                start,
+                couplings=_changed(start.couplings, index, arrays["weights"]),
+                biases=_changed(start.biases, index + 1, arrays["upper_bias"]),
+                centres=_changed(start.centres, index + 1, arrays["upper_centre"]),
+            )
+            yield f"layer{index + 2}", machine, error
+        lower = (lower - machine.centres[index]) @ machine.couplings[index]
+
+
+def _changed(items: tuple, index: int, item: np.ndarray) -> tuple:
+    return (*items[:index], item, *items[index + 1 :])
 
 
 def _one_thread(steps: Iterator) -> Iterator:
@@ -201,18 +228,18 @@ def _one_thread(steps: Iterator) -> Iterator:
 class _Tuner:
     """Parameters and Adam moments of fine-tuning, changed in place."""
 
-    def __init__(self, machine: BetaShapeMachine, prior: TopPrior, n_steps: int):
+    def __init__(self, machine: BetaShapeMachine, prior: TopPrior, strengths: Strengths, near, n_steps: int):
         self.machine, self.prior, self.n_steps, self.step = machine, prior, n_steps, 0
+        self.strengths, self.near = strengths, near
         self.moments: dict[str, tuple[np.ndarray, np.ndarray]] = {}
 
     @classmethod
-    def start(cls, machine: BetaShapeMachine, train: Observations, rng: np.random.Generator, n_steps: int) -> _Tuner:
+    def start(cls, machine: BetaShapeMachine, train: Observations, strengths: Strengths, n_steps: int) -> _Tuner:
         latents = infer(machine, train.values, train.exists)
-        layers = (latents.hidden1, latents.hidden2, latents.hidden3)
-        means = [np.clip(layer.mean(axis=0), 0.05, 0.95) for layer in layers]
-        machine = recentre(machine, *means)
-        prior = TopPrior(np.zeros_like(machine.bias3), np.zeros_like(machine.existence_top))
-        return cls(project(machine).copy(), prior, n_steps)
+        machine = recentre(machine, [np.clip(layer.mean(axis=0), 0.05, 0.95) for layer in latents.layers])
+        prior = TopPrior(np.zeros_like(machine.biases[-1]), np.zeros_like(machine.existence_top))
+        near = near_points(train) if strengths.smooth else None
+        return cls(project(machine).copy(), prior, strengths, near, n_steps)
 
     def epoch(self, train: Observations, batch_size: int, rng: np.random.Generator, run: Callable) -> None:
         """One pass over the shapes, then the projection to positive parameters."""
@@ -223,7 +250,7 @@ class _Tuner:
         for first in range(0, train.n_shapes, batch_size):
             chosen = order[first : first + batch_size]
             values = vary(train.values[chosen], train.exists[chosen], population[chosen], rng=rng)
-            uniform = rng.random((len(chosen), len(self.machine.bias3)), dtype=np.float32)
+            uniform = rng.random((len(chosen), self.machine.sizes[-1]), dtype=np.float32)
             batch = Batch(values, train.exists[chosen], 1 / share, uniform=uniform)
             _, gradient = loss_and_gradient(self.machine, self.prior, batch, run)
             self._update(gradient)
@@ -244,13 +271,15 @@ class _Tuner:
                 key = f"{name}.{index}"
                 if key not in self.moments:
                     self.moments[key] = (np.zeros(array.size, np.float32), np.zeros(array.size, np.float32))
-                decay = DECAY if name.startswith("weights") else 0.0
+                decay = self.strengths.decay if name in ("weights", "couplings") else 0.0
                 # Ā is of the order of the concentration, weights and biases of 1: its steps must be larger.
                 scale = 5.0 if name == "rest" else 1.0
                 adam_step(
                     array.reshape(-1), np.ascontiguousarray(slope, np.float32).reshape(-1), *self.moments[key],
                     scale * rate, decay, self.step,
                 )  # fmt: skip
+        if self.step % EVERY == 0 and (self.strengths.smooth or self.strengths.sparse):
+            apply_priors(self.machine, self.near, self.strengths, EVERY * rate)
 
 
 def vary(
@@ -301,20 +330,18 @@ def _measure(
     )
 
 
-def dead_units(machine: BetaShapeMachine, latents: Latents) -> tuple[float, float, float]:
+def dead_units(machine: BetaShapeMachine, latents: Latents) -> tuple[float, ...]:
     """Share of units per layer whose probability varies by less than .01 (standard deviation) over the shapes.
 
     Units of parts that a shape lacks are not counted for that shape.
     """
-    shares = []
     first = []
     for index, slot in enumerate(machine.units_of_part):
-        present = latents.hidden1[latents.exists[:, index], slot]
+        present = latents.first[latents.exists[:, index], slot]
         if len(present) > 1:
             first.append(present.std(axis=0))
-    spreads = [np.concatenate(first) if first else np.ones(1), latents.hidden2.std(axis=0), latents.hidden3.std(axis=0)]
-    shares = [float((spread < 0.01).mean()) for spread in spreads]
-    return shares[0], shares[1], shares[2]
+    spreads = [np.concatenate(first) if first else np.ones(1), *(layer.std(axis=0) for layer in latents.layers[1:])]
+    return tuple(float((spread < 0.01).mean()) for spread in spreads)
 
 
 def _score(state: LearnState, n_held_out: int) -> float:
@@ -331,10 +358,10 @@ def _score(state: LearnState, n_held_out: int) -> float:
 def _calibrate(
     machine: BetaShapeMachine, observations: Observations, held_out: Observations | None
 ) -> BetaShapeMachine:
-    """The machine with ``spread`` measured: what H3's probabilities leave unexplained, on held-out shapes if any."""
+    """The machine with ``spread`` measured: what the top leaves unexplained, on held-out shapes if there are any."""
     judged = observations if held_out is None else held_out
     latents = infer(machine, judged.values, judged.exists)
-    residual = (decode(machine, latents.hidden3) - judged.values) * machine.diagonals_per_unit
+    residual = (decode(machine, latents.top) - judged.values) * machine.diagonals_per_unit
     counts = judged.exists[:, judged.part][..., None].astype(float)
     # Few shapes judge each point: lean on the part's own mean square as if on four more shapes.
     square = (residual.astype(float) ** 2 * counts).sum(axis=0)

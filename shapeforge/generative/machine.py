@@ -4,17 +4,19 @@ The print writes α = a0 + Σ (a h + c (1-h)).  Only the differences a-c matter 
 W^β = b-d and, because everything is centred (h - ν, X - μ with X = [ln D, ln(1-D)]), the value Ā that α takes at
 h = ν.  With E the existence of parts, and every sum over points running over existing parts only:
 
-    ln p~(D, H | E) = Σ (Ā - 1) X + (h1-ν1)' W' (X-μ) + b1 h1 + (h1-ν1)' W12 (h2-ν2) + b2 h2
-                      + (h2-ν2)' W23 (h3-ν3) + b3 h3 + (E-ε)' V h3
+    ln p~(D, H | E) = Σ (Ā - 1) X + (h1-ν1)' W' (X-μ) + Σ_i b_i h_i + Σ_i (h_i-ν_i)' C_i (h_i+1-ν_i+1) + (E-ε)' V h_top
 
-V, the last term, is ours: parts tell the top layer of their existence.  ``to_paper`` and ``from_paper`` (in
+with any number of layers of hidden units (three in the print).  V, the last term, is ours: parts tell the top layer of
+their existence.  ``to_paper`` and ``from_paper`` (in
 ``paper_form``) are the exact two-way map to a, b, c, d, a0, b0.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -26,6 +28,7 @@ FLOOR = 0.01
 """Smallest α and β: at 0, which the print's projection max(., 0) can reach, a Beta does not exist."""
 
 PER_PART = ("weights", "rest", "data_centre")
+PER_LAYER = ("biases", "centres", "couplings")
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +36,10 @@ class BetaShapeMachine:
     """Parameters of one machine.  The first layer is kept per part, as a tuple over the L parts.
 
     ``weights[l]`` (2, F_l, M_l) is [W^α, W^β] of the F_l = 3 K_l coordinates and M_l units of part l; ``rest[l]``
-    (2, F_l) is [Ā^α, Ā^β]; ``data_centre[l]`` (2, F_l) is μ.  ``centre1`` (M,), ``centre2`` (N,), ``centre3`` (O,)
-    are the ν of the hidden layers, ``existence_centre`` (L,) is ε.  ``spread`` (K, 3) is the standard deviation, in
-    diagonals, of what the machine leaves unexplained on shapes it was not fitted to.
+    (2, F_l) is [Ā^α, Ā^β]; ``data_centre[l]`` (2, F_l) is μ.  ``biases`` and ``centres`` hold b and ν of every layer,
+    H1 (M,) first and the top (O,) last; ``couplings[i]`` is C between layer i and the one above.  ``existence_top``
+    (L, O) is V, ``existence_centre`` (L,) is ε.  ``spread`` (K, 3) is the standard deviation, in diagonals, of what
+    the machine leaves unexplained on shapes it was not fitted to.
     """
 
     part: Int[np.ndarray, " K"]
@@ -45,14 +49,9 @@ class BetaShapeMachine:
     weights: tuple[Float[np.ndarray, "2 _ _"], ...]
     rest: tuple[Float[np.ndarray, "2 _"], ...]
     data_centre: tuple[Float[np.ndarray, "2 _"], ...]
-    bias1: Float[np.ndarray, " M"]
-    centre1: Float[np.ndarray, " M"]
-    weights12: Float[np.ndarray, "M N"]
-    bias2: Float[np.ndarray, " N"]
-    centre2: Float[np.ndarray, " N"]
-    weights23: Float[np.ndarray, "N O"]
-    bias3: Float[np.ndarray, " O"]
-    centre3: Float[np.ndarray, " O"]
+    biases: tuple[Float[np.ndarray, " _"], ...]
+    centres: tuple[Float[np.ndarray, " _"], ...]
+    couplings: tuple[Float[np.ndarray, "_ _"], ...]
     existence_top: Float[np.ndarray, "L O"]
     existence_centre: Float[np.ndarray, " L"]
     spread: Float[np.ndarray, "K 3"]
@@ -69,14 +68,24 @@ class BetaShapeMachine:
         return len(self.part_names)
 
     @property
-    def sizes(self) -> tuple[int, int, int]:
-        """Units in H1, H2, H3: (M, N, O)."""
-        return len(self.bias1), len(self.bias2), len(self.bias3)
+    def sizes(self) -> tuple[int, ...]:
+        """Units of every layer, H1 first: (M, N, O) with three."""
+        return tuple(len(bias) for bias in self.biases)
+
+    @property
+    def n_layers(self) -> int:
+        """Number of layers of hidden units."""
+        return len(self.biases)
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Precision of the parameters."""
+        return self.biases[0].dtype
 
     @property
     def n_weights(self) -> int:
         """Number of pairwise weights, all layers."""
-        return sum(w.size for w in self.weights) + self.weights12.size + self.weights23.size
+        return sum(w.size for w in (*self.weights, *self.couplings))
 
     @cached_property
     def points_of_part(self) -> tuple[Int[np.ndarray, " n"], ...]:
@@ -97,7 +106,7 @@ class BetaShapeMachine:
     def coordinates(self, values: Float[np.ndarray, "n K 3"], part: int) -> Float[np.ndarray, "n F"]:
         """The coordinates (n, F_l) of one part, in the machine's precision."""
         chosen = values[:, self.points_of_part[part]]
-        return chosen.reshape(len(values), 3 * chosen.shape[1]).astype(self.bias1.dtype, copy=False)
+        return chosen.reshape(len(values), 3 * chosen.shape[1]).astype(self.dtype, copy=False)
 
     def to_positions(
         self, values: Float[np.ndarray, "n K 3"], exists: Bool[np.ndarray, "n L"]
@@ -132,8 +141,9 @@ class BetaShapeMachine:
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray]) -> BetaShapeMachine:
         """The inverse of ``to_arrays``.  Raises ValueError naming an array that is missing."""
-        wanted = {field.name for field in fields(cls)} - {"structure", *PER_PART}
-        missing = sorted(wanted - set(arrays))
+        wanted = {field.name for field in fields(cls)} - {"structure", *PER_PART, *PER_LAYER}
+        needed = wanted | {f"{name}.0" for name in (*PER_PART, "biases", "centres")}
+        missing = sorted(needed - set(arrays))
         if missing:
             raise ValueError(
                 f"arrays: wanted {missing[0]!r} among them, got {sorted(arrays)[:5]}...; "
@@ -143,6 +153,9 @@ class BetaShapeMachine:
         values["part_names"] = tuple(bytes(arrays["part_names"]).decode().split("\n"))
         for name in PER_PART:
             values[name] = tuple(arrays[f"{name}.{index}"] for index in range(len(values["part_names"])))
+        for name in PER_LAYER:
+            count = sum(key.startswith(f"{name}.") for key in arrays)
+            values[name] = tuple(arrays[f"{name}.{index}"] for index in range(count))
         values["structure"] = StructureMachine(
             **{field.name: arrays[f"structure.{field.name}"] for field in fields(StructureMachine)}
         )
@@ -150,8 +163,7 @@ class BetaShapeMachine:
 
 
 PARAMETERS = (
-    *PER_PART, "bias1", "centre1", "weights12", "bias2", "centre2", "weights23", "bias3", "centre3",
-    "existence_top", "existence_centre", "spread",
+    *PER_PART, *PER_LAYER, "existence_top", "existence_centre", "spread",
 )  # fmt: skip
 """Names of the fields that learning may change."""
 
@@ -160,16 +172,27 @@ def _map(value, change):
     return tuple(change(item) for item in value) if isinstance(value, tuple) else change(value)
 
 
-def layer_sizes(points_per_part: list[int], n_shapes: int) -> tuple[list[int], int, int]:
-    """Units of H1 per part, H2 and H3.
+Sizes = tuple[list[int] | int, ...]
+"""Units of every layer: of H1 a list, one number per part; of each further layer a number."""
+
+
+def layer_sizes(points_per_part: list[int], n_shapes: int, layers: int = 3) -> Sizes:
+    """Units of H1 per part, then of each further layer.
 
     The print: H1 = a tenth of the part's coordinates, H2 = H1/5, H3 = H2/2.5.  Wider tops (/3, /1.5) reconstruct
     better.  With few shapes more units than shapes explain nothing further, so a part's share is capped by T.
+
+    Raises ValueError without a layer.
     """
+    if layers < 1:
+        raise ValueError(f"layers: wanted at least 1, got {layers}; the paper has 3")
     cap = max(16, n_shapes)
     first = [min(max(round(3 * n / 10), 4), cap) for n in points_per_part]
-    second = max(8, round(sum(first) / 3))
-    return first, second, max(8, round(second / 1.5))
+    above, size = [], float(sum(first))
+    for index in range(layers - 1):
+        size = max(8, round(size / (3 if index == 0 else 1.5)))
+        above.append(int(size))
+    return first, *above
 
 
 def start_machine(
@@ -177,17 +200,19 @@ def start_machine(
     *,
     rng: np.random.Generator,
     concentration: float = 20.0,
-    sizes: tuple[list[int], int, int] | None = None,
+    sizes: Sizes | None = None,
     structure: StructureMachine | None = None,
 ) -> BetaShapeMachine:
     """A machine before learning: every Beta at the family's mean with α + β = ``concentration``, small weights.
 
     The concentration has to be set here because contrastive divergence on expectations cannot find it.  ``sizes`` =
-    (H1 units per part, H2, H3); by default ``layer_sizes``.
+    ([H1 units per part], H2, H3, ...); by default ``layer_sizes``.
     """
     n_parts = len(observations.part_names)
     counts = np.bincount(observations.part, minlength=n_parts)
-    first, second, third = layer_sizes(counts.tolist(), observations.n_shapes) if sizes is None else sizes
+    first, *above = layer_sizes(counts.tolist(), observations.n_shapes) if sizes is None else sizes
+    if not isinstance(first, list) or len(first) != n_parts:
+        raise ValueError(f"sizes: wanted first a list of {n_parts} numbers of units, one per part, got {first}")
     weights, rest, centre = [], [], []
     for index in range(n_parts):
         members = np.flatnonzero(observations.part == index)
@@ -199,7 +224,7 @@ def start_machine(
         centre.append(np.stack([np.log(values).mean(axis=0), np.log1p(-values).mean(axis=0)]))
         scale = 0.01 * np.sqrt(20 * concentration / first[index])
         weights.append(scale * rng.standard_normal((2, values.shape[1], first[index])))
-    total = sum(first)
+    every = [sum(first), *(int(size) for size in above)]
     as32 = lambda items: tuple(np.ascontiguousarray(item, dtype=np.float32) for item in items)  # noqa: E731
     zeros, halves = (lambda n: np.zeros(n, np.float32)), (lambda n: np.full(n, 0.5, np.float32))
     normal = lambda *shape: (0.05 * rng.standard_normal(shape)).astype(np.float32)  # noqa: E731
@@ -208,10 +233,9 @@ def start_machine(
     return BetaShapeMachine(
         part=observations.part, part_names=observations.part_names, low=observations.low, high=observations.high,
         weights=as32(weights), rest=as32(rest), data_centre=as32(centre),
-        bias1=zeros(total), centre1=halves(total),
-        weights12=normal(total, second), bias2=zeros(second), centre2=halves(second),
-        weights23=normal(second, third), bias3=zeros(third), centre3=halves(third),
-        existence_top=np.zeros((n_parts, third), np.float32),
+        biases=tuple(zeros(size) for size in every), centres=tuple(halves(size) for size in every),
+        couplings=tuple(normal(below, above) for below, above in pairwise(every)),
+        existence_top=np.zeros((n_parts, every[-1]), np.float32),
         existence_centre=observations.exists.mean(axis=0).astype(np.float32),
         spread=np.full((len(observations.part), 3), 0.02, np.float32),
         structure=structure,
@@ -226,7 +250,7 @@ def project(machine: BetaShapeMachine) -> BetaShapeMachine:
     """
     weights = []
     for slot, weight, rest in zip(machine.units_of_part, machine.weights, machine.rest, strict=True):
-        centre = machine.centre1[slot]
+        centre = machine.centres[0][slot]
         reach = np.maximum(weight, 0) @ centre + np.maximum(-weight, 0) @ (1 - centre)
         room = np.maximum(rest - FLOOR, 0)
         shrink = np.where(reach > room, room / np.maximum(reach, 1e-30), 1).astype(weight.dtype)
@@ -235,19 +259,17 @@ def project(machine: BetaShapeMachine) -> BetaShapeMachine:
     return replace(machine, weights=tuple(weights), rest=rest)
 
 
-def recentre(machine: BetaShapeMachine, centre1: np.ndarray, centre2: np.ndarray, centre3: np.ndarray):
-    """The same distribution written with other ν: when ν moves by δ, Ā moves by W δ and the biases by w δ."""
-    d1, d2, d3 = centre1 - machine.centre1, centre2 - machine.centre2, centre3 - machine.centre3
+def recentre(machine: BetaShapeMachine, centres: Sequence[np.ndarray]) -> BetaShapeMachine:
+    """The same distribution written with other ν, one per layer: when ν moves by δ, Ā moves by W δ and the biases of
+    the layers next to it by C δ."""
+    shifts = [new - old for new, old in zip(centres, machine.centres, strict=True)]
     rest = tuple(
-        (rest + weight @ d1[slot]).astype(rest.dtype)
+        (rest + weight @ shifts[0][slot]).astype(rest.dtype)
         for rest, weight, slot in zip(machine.rest, machine.weights, machine.units_of_part, strict=True)
     )
-    same = lambda a: a.astype(machine.bias1.dtype)  # noqa: E731
-    return replace(
-        machine,
-        rest=rest,
-        bias1=same(machine.bias1 + machine.weights12 @ d2),
-        bias2=same(machine.bias2 + d1 @ machine.weights12 + machine.weights23 @ d3),
-        bias3=same(machine.bias3 + d2 @ machine.weights23),
-        centre1=same(centre1), centre2=same(centre2), centre3=same(centre3),
-    )  # fmt: skip
+    biases = [bias.copy() for bias in machine.biases]
+    for index, coupling in enumerate(machine.couplings):
+        biases[index] += (coupling @ shifts[index + 1]).astype(machine.dtype)
+        biases[index + 1] += (shifts[index] @ coupling).astype(machine.dtype)
+    moved = tuple(np.asarray(centre).astype(machine.dtype) for centre in centres)
+    return replace(machine, rest=rest, biases=tuple(biases), centres=moved)

@@ -91,9 +91,16 @@ def observe(
         if len(members):
             exists[:, index] = found[:, members].mean(axis=1) >= PRESENT
             filled[:, members] = _fill(positions[:, members], found[:, members], exists[:, index], (low + high) / 2)
-    values = MARGIN + (1 - 2 * MARGIN) * (filled - low) / (high - low)
-    values = np.clip(values, LIMIT, 1 - LIMIT).astype(np.float32)
-    return Observations(values, exists, part.astype(np.int32), part_names, low, high)
+    return Observations(
+        to_values(filled, low, high).astype(np.float32), exists, part.astype(np.int32), part_names, low, high
+    )
+
+
+def to_values(
+    positions: Float[np.ndarray, "*n 3"], low: Float[np.ndarray, " 3"], high: Float[np.ndarray, " 3"]
+) -> Float[np.ndarray, "*n 3"]:
+    """Normal coordinates in (0, 1), clipped to [LIMIT, 1 - LIMIT]."""
+    return np.clip(MARGIN + (1 - 2 * MARGIN) * (positions - low) / (high - low), LIMIT, 1 - LIMIT)
 
 
 def to_positions(

@@ -15,19 +15,17 @@ from shapeforge.generative.machine import BetaShapeMachine
 class PaperForm:
     """Eq. 2 as printed, per part: ``on[l]`` = [a, b], ``off[l]`` = [c, d] (2, F, M), ``base[l]`` = [a0, b0] (2, F).
 
-    ``bias1`` (M,) is w[m,0] and so on.  ``absent1`` (M,) is added to w[m,0] of a part's units where the part is absent,
-    and ``existence_top`` (L, O) couples E to H3: both are ours, and zero in the print.
+    ``biases[0]`` (M,) is w[m,0] and so on up, ``couplings[0]`` (M, N) is w[m,n].  ``absent1`` (M,) is added to w[m,0]
+    of a part's units where the part is absent, and ``existence_top`` (L, O) couples E to the top: both are ours, and
+    zero in the print.
     """
 
     on: tuple[Float[np.ndarray, "2 _ _"], ...]
     off: tuple[Float[np.ndarray, "2 _ _"], ...]
     base: tuple[Float[np.ndarray, "2 _"], ...]
-    bias1: Float[np.ndarray, " M"]
     absent1: Float[np.ndarray, " M"]
-    weights12: Float[np.ndarray, "M N"]
-    bias2: Float[np.ndarray, " N"]
-    weights23: Float[np.ndarray, "N O"]
-    bias3: Float[np.ndarray, " O"]
+    biases: tuple[Float[np.ndarray, " _"], ...]
+    couplings: tuple[Float[np.ndarray, "_ _"], ...]
     existence_top: Float[np.ndarray, "L O"]
 
 
@@ -40,19 +38,15 @@ def to_paper(machine: BetaShapeMachine) -> PaperForm:
         negative = np.maximum(-weight, 0)
         on.append(np.maximum(weight, 0))
         off.append(negative)
-        base.append(rest - weight @ machine.centre1[slot] - negative.sum(axis=2))
+        base.append(rest - weight @ machine.centres[0][slot] - negative.sum(axis=2))
         pull.append(np.einsum("sfm,sf->m", weight, centre))
     absent1 = np.concatenate(pull)
+    biases = [bias - said for bias, said in zip(machine.biases, _said_by_centres(machine), strict=True)]
+    biases[0] = biases[0] - absent1
+    biases[-1] = biases[-1] - machine.existence_centre @ machine.existence_top
     return PaperForm(
-        on=tuple(on), off=tuple(off), base=tuple(base),
-        bias1=machine.bias1 - absent1 - machine.weights12 @ machine.centre2,
-        absent1=absent1,
-        weights12=machine.weights12,
-        bias2=machine.bias2 - machine.centre1 @ machine.weights12 - machine.weights23 @ machine.centre3,
-        weights23=machine.weights23,
-        bias3=machine.bias3 - machine.centre2 @ machine.weights23 - machine.existence_centre @ machine.existence_top,
-        existence_top=machine.existence_top,
-    )  # fmt: skip
+        tuple(on), tuple(off), tuple(base), absent1, tuple(biases), machine.couplings, machine.existence_top
+    )
 
 
 def from_paper(form: PaperForm, like: BetaShapeMachine) -> BetaShapeMachine:
@@ -66,16 +60,24 @@ def from_paper(form: PaperForm, like: BetaShapeMachine) -> BetaShapeMachine:
     ):
         weight = on - off
         weights.append(weight)
-        rest.append(base + off.sum(axis=2) + weight @ like.centre1[slot])
+        rest.append(base + off.sum(axis=2) + weight @ like.centres[0][slot])
         pull.append(np.einsum("sfm,sf->m", weight, centre))
-    return replace(
-        like,
-        weights=tuple(weights), rest=tuple(rest), weights12=form.weights12, weights23=form.weights23,
-        existence_top=form.existence_top,
-        bias1=form.bias1 + np.concatenate(pull) + form.weights12 @ like.centre2,
-        bias2=form.bias2 + like.centre1 @ form.weights12 + form.weights23 @ like.centre3,
-        bias3=form.bias3 + like.centre2 @ form.weights23 + like.existence_centre @ form.existence_top,
-    )  # fmt: skip
+    back = replace(
+        like, weights=tuple(weights), rest=tuple(rest), couplings=form.couplings, existence_top=form.existence_top
+    )
+    biases = [bias + said for bias, said in zip(form.biases, _said_by_centres(back), strict=True)]
+    biases[0] = biases[0] + np.concatenate(pull)
+    biases[-1] = biases[-1] + like.existence_centre @ form.existence_top
+    return replace(back, biases=tuple(biases))
+
+
+def _said_by_centres(machine: BetaShapeMachine) -> list[np.ndarray]:
+    """What every layer hears from the layers next to it when these are at their centres."""
+    said = [np.zeros_like(bias) for bias in machine.biases]
+    for index, coupling in enumerate(machine.couplings):
+        said[index] = said[index] + coupling @ machine.centres[index + 1]
+        said[index + 1] = said[index + 1] + machine.centres[index] @ coupling
+    return said
 
 
 def log_unnormalized_as_printed(
@@ -83,13 +85,13 @@ def log_unnormalized_as_printed(
     hidden: Hidden,
 ) -> Float[np.ndarray, " n"]:  # fmt: skip
     """Eq. 2 literally (n,), without its structure terms; ``machine`` only tells which points and units a part has."""
-    first, second, third = hidden
-    total = first @ form.bias1 + second @ form.bias2 + third @ form.bias3
-    total = total + np.einsum("nm,mo,no->n", first, form.weights12, second)
-    total = total + np.einsum("nm,mo,no->n", second, form.weights23, third)
-    total = total + np.einsum("nl,lo,no->n", exists.astype(float), form.existence_top, third)
+    total = np.einsum("nl,lo,no->n", exists.astype(float), form.existence_top, hidden[-1])
+    for layer, bias in zip(hidden, form.biases, strict=True):
+        total = total + layer @ bias
+    for index, coupling in enumerate(form.couplings):
+        total = total + np.einsum("nm,mo,no->n", hidden[index], coupling, hidden[index + 1])
     for index, slot in enumerate(machine.units_of_part):
-        h = first[:, slot]
+        h = hidden[0][:, slot]
         exponent = (
             form.base[index] - 1
             + np.einsum("sfm,nm->nsf", form.on[index], h)

@@ -42,8 +42,8 @@ def pretrain_points(
             machine,
             weights=tuple(state.weights.reshape(2, -1, state.weights.shape[1]) for state in states),
             rest=tuple(state.rest.reshape(2, -1) for state in states),
-            bias1=np.concatenate([state.bias for state in states]),
-            centre1=np.concatenate([state.centre for state in states]),
+            biases=(np.concatenate([state.bias for state in states]), *machine.biases[1:]),
+            centres=(np.concatenate([state.centre for state in states]), *machine.centres[1:]),
         )
         points = np.array([len(members) for members in machine.points_of_part], dtype=float)
         yield project(machine.copy()), float(np.average([state.error for state in states], weights=points))
@@ -68,10 +68,10 @@ class _PointLayer:
         weight = machine.weights[part]
         flat, rest = weight.reshape(-1, weight.shape[2]).copy(), machine.rest[part].reshape(-1).copy()
         slot = machine.units_of_part[part]
-        bias = machine.bias1[slot].copy()
+        bias = machine.biases[0][slot].copy()
         values = machine.coordinates(observations.values[observations.exists[:, part]], part)
         return cls(
-            values, machine.data_centre[part].reshape(-1), flat, rest, bias, machine.centre1[slot].copy(),
+            values, machine.data_centre[part].reshape(-1), flat, rest, bias, machine.centres[0][slot].copy(),
             (np.zeros_like(flat), np.zeros_like(rest), np.zeros_like(bias)), FIRST_RATE / max(len(rest), 1), np.inf,
         )  # fmt: skip
 

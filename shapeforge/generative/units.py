@@ -18,6 +18,12 @@ from shapeforge.generative.machine import BetaShapeMachine
 from shapeforge.generative.observations import Observations
 
 BINS = 16
+DRIVEN = 0.3
+"""Correlation with an upper unit from which a lower unit belongs to its bundle."""
+
+SAME = 0.7
+"""Cosine from which two bundles are taken for one."""
+
 MOST_PATTERNS = 8
 """Combinations of parts on which a slider's effect is measured."""
 
@@ -27,8 +33,8 @@ BIG_MOVE = 0.4
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """One slider.  Its value is added to the logits of a layer along ``vector`` (H3 for kind "direction", H2 for
-    "bundle" and "unit"); 0 leaves a shape as it is.
+    """One slider.  Its value is added to the logits of a layer along ``vector``: the top for kind
+    "direction", H1 for "bundle"; 0 leaves a shape as it is.
 
     ``low`` and ``high`` are the 5th and 95th percentile over the training shapes, relative to their median;
     ``histogram`` (b,) counts the shapes between ``edges`` (b+1,).  ``moves`` (K,) is how far each point goes, in
@@ -63,12 +69,12 @@ def directions(
     """The ``count`` directions of the top layer that change shapes most, the most effective first.
 
     Principal directions of what the family's shapes do while their parts stay the same: the positions that the machine
-    gives back are decomposed within each combination of parts, and a direction is the change of H3's logits that goes
-    along with one principal component.  Deterministic, signs included (the part that moves most grows or rises).
+    gives back are decomposed within each combination of parts, and a direction is the change of the top's logits that
+    goes along with one principal component.  Deterministic, signs included (the part that moves most grows or rises).
     """
     latents = infer(machine, observations.values, observations.exists)
-    logits = np.clip(logit(latents.hidden3), -6, 6).astype(float)
-    decoded = decode(machine, latents.hidden3)
+    logits = np.clip(logit(latents.top), -6, 6).astype(float)
+    decoded = decode(machine, latents.top)
     counted = observations.exists[:, observations.part][..., None]
     flat = (decoded.astype(float) * counted).reshape(len(decoded), -1)
     logits_within = _within_patterns(logits, observations.exists)
@@ -86,20 +92,40 @@ def directions(
 
 
 def bundles(machine: BetaShapeMachine, observations: Observations, count: int = 8) -> list[Direction]:
-    """The ``count`` units of H2, each with the units of H1 that it drives (Figure 7), that change shapes most."""
+    """The ``count`` units of H2, each with the units of H1 that go with it (Figure 7), that change shapes most.
+
+    Set alone, a unit moves a shape by less than one can see: its neighbours hold H1 where it was.  So H1's logits go
+    along as they do over the family (least squares, within combinations of parts), where the two correlate at all.  The
+    values are logits of the H2 unit; bundles that do nearly the same as a stronger one are left out.
+    """
     latents = infer(machine, observations.values, observations.exists)
-    logits = np.clip(logit(latents.hidden2), -6, 6).astype(float)
-    centred = _within_patterns(logits, observations.exists)
-    typical = _typical_shapes(latents, centred)
-    swing = np.percentile(centred, 95, axis=0) - np.percentile(centred, 5, axis=0)
-    reach = swing * np.abs(machine.weights12).sum(axis=0)
-    found = []
-    for unit in np.argsort(-reach)[: 3 * count]:
-        vector = np.zeros(logits.shape[1])
-        vector[unit] = 1
-        found.append(_direction(machine, typical, vector, centred[:, unit], "bundle"))
+    upper = _within_patterns(_logits(latents.layers[_bundle_layer(machine)]), observations.exists)
+    typical = _typical_shapes(latents, upper)
+    lower = _within_patterns(_logits(latents.first), observations.exists)
+    there = np.zeros(lower.shape, bool)
+    for index, slot in enumerate(machine.units_of_part):
+        there[:, slot] = observations.exists[:, [index]]
+    lower = lower * there
+    square = np.maximum((upper**2).T @ there, 1e-12)
+    slopes = upper.T @ lower / square
+    correlation = slopes * np.sqrt(square / np.maximum((lower**2).sum(axis=0), 1e-12))
+    slopes = np.where(np.abs(correlation) >= DRIVEN, slopes, 0)
+    swing = np.percentile(upper, 95, axis=0) - np.percentile(upper, 5, axis=0)
+    found: list[Direction] = []
+    for unit in np.argsort(-swing * np.linalg.norm(slopes, axis=1), kind="stable"):
+        vector = slopes[unit]
+        strength = float(np.linalg.norm(vector))
+        if strength < 1e-9 or len(found) >= 2 * count:
+            break
+        alike = (abs(float(vector @ o.vector)) / (strength * np.linalg.norm(o.vector)) for o in found)
+        if max(alike, default=0.0) < SAME:
+            found.append(_direction(machine, typical, vector, upper[:, unit], "bundle"))
     found.sort(key=lambda direction: -direction.size)
     return [_named(direction, index) for index, direction in enumerate(found[:count])]
+
+
+def _logits(layer: np.ndarray) -> np.ndarray:
+    return np.clip(logit(layer), -6, 6).astype(float)
 
 
 def drive(
@@ -128,27 +154,34 @@ def drive_latents(
     directions: Sequence[Direction],
 ) -> tuple[Float[np.ndarray, "K 3"], Latents]:
     """As ``drive``, with the latents of the result."""
-    dtype = machine.bias1.dtype
+    dtype = machine.dtype
     present = base.exists[:1] if exists is None else exists[None]
-    steps = {"direction": np.zeros(len(machine.bias3)), "bundle": np.zeros(len(machine.bias2))}
+    steps = {"direction": np.zeros(machine.sizes[-1]), "bundle": np.zeros(machine.sizes[0])}
     for index, value in settings.items():
         steps[directions[index].kind] += value * directions[index].vector
     moved = _moved(machine, base[:1], steps["direction"][None].astype(dtype), steps["bundle"][None].astype(dtype))
-    latents = Latents(moved.hidden1, moved.hidden2, moved.hidden3, present)
+    latents = Latents(moved.layers, present)
     return machine.to_positions(decode(machine, latents), present)[0], latents
 
 
-def _moved(machine: BetaShapeMachine, base: Latents, top_step: np.ndarray, second_step: np.ndarray) -> Latents:
-    """Latents after steps in the logits of H3 (n, O) and H2 (n, N): H1 and H2 keep what the top does not explain."""
-    top = sigmoid(np.clip(logit(base.hidden3), -6, 6) + top_step)
-    before1, before2 = descend(machine, np.clip(base.hidden3, 0.0025, 0.9975))
-    after1, after2 = descend(machine, top)
-    second = sigmoid(logit(base.hidden2) + logit(after2) - logit(before2) + second_step)
-    first_change = logit(after1) - logit(before1)
-    if second_step.any():
-        shifted = sigmoid(logit(after2) + second_step)
-        first_change = first_change + (shifted - after2) @ machine.weights12.T
-    return Latents(sigmoid(logit(base.hidden1) + first_change), second, top, base.exists)
+def _bundle_layer(machine: BetaShapeMachine) -> int:
+    """The layer whose units lead bundles: H2, or H1 in a machine without."""
+    return min(1, machine.n_layers - 1)
+
+
+def _moved(machine: BetaShapeMachine, base: Latents, top_step: np.ndarray, first_step: np.ndarray) -> Latents:
+    """Latents after steps in the logits of the top (n, O) and of H1 (n, M): the layers below the top keep what it does
+    not explain."""
+    last = machine.n_layers - 1
+    if last == 0:
+        return Latents((sigmoid(logit(base.first) + top_step + first_step),), base.exists)
+    top = sigmoid(np.clip(logit(base.top), -6, 6) + top_step)
+    before, after = descend(machine, np.clip(base.top, 0.0025, 0.9975)), descend(machine, top)
+    layers = [
+        logit(own) + logit(b) - logit(a) for own, a, b in zip(base.layers, before[:last], after[:last], strict=False)
+    ]
+    layers[0] = layers[0] + first_step
+    return Latents((*(sigmoid(layer) for layer in layers), top), base.exists)
 
 
 def _within_patterns(data: np.ndarray, exists: np.ndarray) -> np.ndarray:
@@ -178,11 +211,10 @@ def _direction(
     low, high = float(np.percentile(values, 5)), float(np.percentile(values, 95))
     ends = []
     for value in (low, high):
-        step = np.broadcast_to((value * vector).astype(machine.bias1.dtype), (len(share), len(vector)))
-        none2 = np.zeros((len(share), len(machine.bias2)), step.dtype)
-        none3 = np.zeros((len(share), len(machine.bias3)), step.dtype)
-        moved = _moved(machine, shapes, *((step, none2) if kind == "direction" else (none3, step)))
-        ends.append(expected_values(machine, moved.hidden1).astype(float))
+        step = np.broadcast_to((value * vector).astype(machine.dtype), (len(share), len(vector)))
+        none_top, none = np.zeros_like(shapes.top), np.zeros_like(shapes.first)
+        moved = _moved(machine, shapes, *((step, none) if kind == "direction" else (none_top, step)))
+        ends.append(expected_values(machine, moved.first).astype(float))
     distance = np.linalg.norm(ends[1] - ends[0], axis=2) * machine.diagonals_per_unit
     weight = share[:, None] * shapes.exists[:, machine.part]
     moves = (weight * distance).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-12)

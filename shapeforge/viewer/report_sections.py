@@ -15,6 +15,7 @@ from shapeforge.viewer.palette import group_colours, part_colours
 from shapeforge.viewer.report_html import dot, image, number, percent, table
 
 CARD, FACE, WIDE = (112, 112), (168, 168), (150, 150)
+BUNDLES = 3  # of the second layer, shown below the directions
 
 
 def _part_names(project: Any) -> tuple[str, ...]:
@@ -212,12 +213,13 @@ def recorded_movement(project: Any) -> np.ndarray:
 def directions(project: Any) -> str:
     """Every slider: both its ends, where it moves the shape, and where the family lies."""
     from shapeforge.generative.inference import infer
-    from shapeforge.generative.units import drive
+    from shapeforge.generative.units import bundles, drive
     from shapeforge.viewer.palette import heat
 
     directions, machine, observations = project.directions(), project.machine(), project.observations()
     if not directions or machine is None or observations is None:
         return ""
+    directions = [*directions, *bundles(machine, observations, BUNDLES)]
     colours = likeness.part_point_colours(machine.part, len(machine.part_names))
     patterns, which, counts = np.unique(observations.exists, axis=0, return_inverse=True, return_counts=True)
     base_index = int(np.flatnonzero(which == counts.argmax())[0])
@@ -246,6 +248,7 @@ def directions(project: Any) -> str:
         )
     note = "Left: the slider's low end. Middle: where it moves the shape (dark red: most). Right: its high end."
     note += " Bars: where the shapes of the family lie, the line is 0."
+    note += " A bundle is one unit of the second layer with all those of the first that it drives."
     return f"<p class=note>{note}</p><div class=cards>{''.join(blocks)}</div>"
 
 

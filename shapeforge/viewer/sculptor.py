@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from shapeforge.generative.draw import draw
+from shapeforge.generative.evidence import between
 from shapeforge.generative.inference import Latents, infer, logit, sigmoid
 from shapeforge.generative.units import Direction, bundles, drive, drive_latents
 from shapeforge.stages_recipes import recipe_of, write_recipe
@@ -97,12 +98,8 @@ class Sculptor:
         """The middle of the shapes with the family's most common parts."""
         patterns, which, counts = np.unique(self.latents.exists, axis=0, return_inverse=True, return_counts=True)
         members = np.flatnonzero(which.reshape(-1) == counts.argmax())
-        hidden = [sigmoid(logit(layer[members]).mean(axis=0, keepdims=True)) for layer in self._layers(self.latents)]
-        return Latents(*hidden, patterns[counts.argmax()][None])
-
-    @staticmethod
-    def _layers(latents: Latents) -> tuple[np.ndarray, ...]:
-        return latents.hidden1, latents.hidden2, latents.hidden3
+        hidden = [sigmoid(logit(layer[members]).mean(axis=0, keepdims=True)) for layer in self.latents.layers]
+        return Latents(tuple(hidden), patterns[counts.argmax()][None])
 
     def random_base(self) -> Latents:
         """A draw from the learnt distribution; the n-th draw of a project is always the same."""
@@ -116,11 +113,7 @@ class Sculptor:
 
     def between(self, first: Latents, second: Latents, share: float) -> Latents:
         """``share`` of the way from one shape to another, in the logits of every layer; parts of the nearer one."""
-        hidden = [
-            sigmoid((1 - share) * logit(a) + share * logit(b)).astype(a.dtype)
-            for a, b in zip(self._layers(first), self._layers(second), strict=True)
-        ]
-        return Latents(*hidden, (first if share < 0.5 else second).exists)
+        return between(first, second, [share])
 
     # ---- the shape in hand ---------------------------------------------------------------------------------------
 

@@ -23,17 +23,19 @@ def tiny_observations(rng: np.random.Generator, n_shapes: int = 6) -> Observatio
     return observe(positions, PART, ("body", "wing"))
 
 
-def tiny_machine(rng: np.random.Generator, couplings: float = 0.7) -> tuple[BetaShapeMachine, Observations]:
-    """A positive machine with 2+2, 3 and 2 hidden units, every parameter at random, in float64."""
+def tiny_machine(
+    rng: np.random.Generator, couplings: float = 0.7, above: tuple[int, ...] = (3, 2)
+) -> tuple[BetaShapeMachine, Observations]:
+    """A positive machine with 2+2 and then ``above`` hidden units, every parameter at random, in float64."""
     observations = tiny_observations(rng)
-    machine = start_machine(observations, rng=rng, concentration=6.0, sizes=([2, 2], 3, 2)).astype(np.float64)
+    machine = start_machine(observations, rng=rng, concentration=6.0, sizes=([2, 2], *above)).astype(np.float64)
     machine = replace(
         machine,
         weights=tuple(rng.normal(0, 0.4, w.shape) for w in machine.weights),
-        bias1=rng.normal(size=4), bias2=rng.normal(size=3), bias3=rng.normal(size=2),
-        weights12=couplings * rng.normal(size=(4, 3)), weights23=couplings * rng.normal(size=(3, 2)),
-        existence_top=couplings * rng.normal(size=(2, 2)),
-        centre1=rng.uniform(0.2, 0.8, 4), centre2=rng.uniform(0.2, 0.8, 3), centre3=rng.uniform(0.2, 0.8, 2),
+        biases=tuple(rng.normal(size=size) for size in machine.sizes),
+        couplings=tuple(couplings * rng.normal(size=pair) for pair in itertools.pairwise(machine.sizes)),
+        existence_top=couplings * rng.normal(size=(2, machine.sizes[-1])),
+        centres=tuple(rng.uniform(0.2, 0.8, size) for size in machine.sizes),
     )  # fmt: skip
     return project(machine), observations
 
@@ -42,8 +44,7 @@ def all_hidden(machine: BetaShapeMachine) -> Hidden:
     """Every binary state of the hidden units."""
     sizes = machine.sizes
     states = np.array(list(itertools.product((0.0, 1.0), repeat=sum(sizes))))
-    first, second, third = np.split(states, np.cumsum(sizes)[:-1], axis=1)
-    return Hidden(first, second, third)
+    return np.split(states, np.cumsum(sizes)[:-1], axis=1)
 
 
 def repeated(array: np.ndarray, n: int) -> np.ndarray:
@@ -55,13 +56,13 @@ def log_integral_over_points(machine: BetaShapeMachine, exists: np.ndarray, hidd
     """ln of the integral of p~(D, H | E) over D in (0, 1) for each hidden state: products of Beta functions."""
     from shapeforge.generative.energy import log_unnormalized
 
-    middle = np.full((len(hidden.first), machine.n_points, 3), 0.5)
-    at_middle = log_unnormalized(machine, middle, repeated(exists, len(hidden.first)), hidden)
+    middle = np.full((len(hidden[0]), machine.n_points, 3), 0.5)
+    at_middle = log_unnormalized(machine, middle, repeated(exists, len(hidden[0])), hidden)
     total = at_middle
     for index, slot in enumerate(machine.units_of_part):
         if exists[index]:
             both = machine.rest[index] + np.einsum(
-                "sfm,nm->nsf", machine.weights[index], hidden.first[:, slot] - machine.centre1[slot]
+                "sfm,nm->nsf", machine.weights[index], hidden[0][:, slot] - machine.centres[0][slot]
             )
             constant = (both - 1).sum(axis=(1, 2)) * np.log(0.5)
             total = total - constant + betaln(both[:, 0], both[:, 1]).sum(axis=1)

@@ -122,17 +122,17 @@ def test_the_ends_of_the_way_between_two_shapes_are_the_shapes(sculptor):
     a, b = (sculptor.base_of(name) for name in sculptor.shape_names[:2])
     for share, end in ((0.0, a), (1.0, b)):
         middle = sculptor.between(a, b, share)
-        assert np.allclose(middle.hidden1, end.hidden1, atol=1e-5) and np.array_equal(middle.exists, end.exists)
+        assert np.allclose(middle.first, end.first, atol=1e-5) and np.array_equal(middle.exists, end.exists)
 
 
 def test_draws_differ_and_can_be_repeated(sculptor, learnt):
     first, second = sculptor.random_base(), sculptor.random_base()
-    assert not np.array_equal(first.hidden3, second.hidden3) or not np.array_equal(first.exists, second.exists)
+    assert not np.array_equal(first.top, second.top) or not np.array_equal(first.exists, second.exists)
     session = Session()
     session.open(learnt)
     again = Sculptor(session)
     again.reload()
-    assert np.array_equal(again.random_base().hidden3, first.hidden3)
+    assert np.array_equal(again.random_base().top, first.top)
 
 
 def test_the_nearest_shape_of_a_shape_is_itself(sculptor):
@@ -276,7 +276,7 @@ def test_between_two_shapes_is_one_item_per_drag(place, qtbot):
     place.between.slider.setSliderDown(False)
     assert len(place.sculptor.recipes) == count + 1 and place.sculptor.recipe.label == "A–B 80%"
     expected = place.sculptor.between(*(place.sculptor.base_of(n) for n in place._between), 0.8)
-    assert np.allclose(place.sculptor.recipe.base.hidden2, expected.hidden2)
+    assert np.allclose(place.sculptor.recipe.base.layers[1], expected.layers[1])
     assert place.actions.run("between") and not place.between.isVisibleTo(place.centre)
     assert place.actions.run("between") and place.actions.run("mean_shape")
     place.actions.run("undo")
@@ -458,14 +458,14 @@ def test_a_draw_of_the_gallery_is_taken_with_a_click_and_can_be_undone(place, qt
     wanted = gallery.recipes[1]
     qtbot.mouseClick(gallery.cards[1], LEFT, NONE, QPoint(60, 60))
     assert place.view.isVisibleTo(place.centre) and not gallery.isVisibleTo(place.centre)
-    assert np.array_equal(place.sculptor.recipe.base.hidden3, wanted.base.hidden3)
+    assert np.array_equal(place.sculptor.recipe.base.top, wanted.base.top)
     taken = place._points.copy()
     place.actions.run("undo")
     assert place.sculptor.recipe.label == "mean"
     mean = np.nan_to_num(place.sculptor.points())
     assert np.array_equal(np.nan_to_num(place._points), mean) and not np.array_equal(np.nan_to_num(taken), mean)
     place.actions.run("gallery")
-    assert not np.array_equal(gallery.recipes[1].base.hidden3, wanted.base.hidden3), "other draws each time"
+    assert not np.array_equal(gallery.recipes[1].base.top, wanted.base.top), "other draws each time"
     qtbot.keyClick(gallery, Qt.Key.Key_Escape)
     assert place.view.isVisibleTo(place.centre)
 

@@ -1,0 +1,103 @@
+"""Draws that agree with given points and units; the way between two shapes."""
+
+import numpy as np
+import pytest
+
+from shapeforge.collection.iterate import last
+from shapeforge.generative.draw import draw, fit_mixture
+from shapeforge.generative.evidence import between, draw_given
+from shapeforge.generative.inference import decode, infer
+from shapeforge.generative.learning import learn_machine
+from shapeforge.generative.observations import observe
+from tests.generative.synthetic import PART_NAMES, chair_family
+
+
+@pytest.fixture(scope="module")
+def learned():
+    positions, part, _ = chair_family(60, rng=np.random.default_rng(0), density=0.2)
+    observations = observe(positions, part, PART_NAMES)
+    train, test = observations.subset(np.arange(50)), observations.subset(np.arange(50, 60))
+    machine = last(learn_machine(train, rng=np.random.default_rng(1), epochs=300, pretraining=40)).machine
+    return train, test, machine, fit_mixture(machine, train)
+
+
+def landmarks_of(test, shape, per_part=2):
+    """Everything unknown but a few points of every part that the shape has, and where all its points are."""
+    truth = test.positions()[shape]
+    known = np.full_like(truth, np.nan)
+    for index in np.flatnonzero(test.exists[shape]):
+        members = np.flatnonzero(test.part == index)
+        chosen = members[np.linspace(0, len(members) - 1, per_part).astype(int)]
+        known[chosen] = truth[chosen]
+    return truth, known
+
+
+def test_given_points_are_met_and_the_rest_follows(learned):
+    _, test, machine, mixture = learned
+    nearer, missed = [], []
+    for shape in range(6):
+        truth, known = landmarks_of(test, shape)
+        given = np.isfinite(known[:, 0])
+        found = draw_given(machine, mixture, 12, rng=np.random.default_rng(3), points=known)
+        assert found.exists[:, test.exists[shape]].all()
+        free = draw(machine, mixture, 60, rng=np.random.default_rng(3), exists=test.exists[shape])
+        own = test.exists[shape][test.part] & ~given
+        away = [np.linalg.norm(d.points[:, own] - truth[own], axis=2).mean() for d in (found, free)]
+        nearer.append(away[0] / away[1])
+        miss = [np.linalg.norm(d.points[:, given] - known[given], axis=2).mean() for d in (found, free)]
+        missed.append(miss[0] / miss[1])
+    assert max(missed) < 0.6 and np.mean(missed) < 0.45, missed
+    assert max(nearer) < 0.95 and np.mean(nearer) < 0.7, nearer
+
+
+def test_draws_that_agree_still_differ_where_nothing_is_known(learned):
+    _, test, machine, mixture = learned
+    truth, known = landmarks_of(test, 0)
+    known[test.part != 0] = np.nan  # the seat alone
+    found = draw_given(machine, mixture, 20, rng=np.random.default_rng(0), points=known, exists=test.exists[0])
+    back = test.part == 1
+    spread = found.points[:, back].std(axis=0).mean()
+    free = draw(machine, mixture, 60, rng=np.random.default_rng(0), exists=test.exists[0]).points[:, back].std(axis=0)
+    assert 0.2 * free.mean() < spread < 1.2 * free.mean()
+    again = draw_given(machine, mixture, 20, rng=np.random.default_rng(0), points=known, exists=test.exists[0])
+    np.testing.assert_array_equal(found.points, again.points)
+
+
+def test_clamped_units_stay_and_shapes_suit_them(learned):
+    train, _, machine, mixture = learned
+    top = infer(machine, train.values, train.exists).top
+    unit = int(top.std(axis=0).argmax())
+    ends = []
+    for value in (0.0, 0.5, 1.0):
+        for layer in (machine.n_layers - 1, 1, 0):
+            found = draw_given(machine, mixture, 4, rng=np.random.default_rng(1), clamped={(layer, unit): value})
+            np.testing.assert_allclose(found.latents.layers[layer][:, unit], value, atol=1e-6)
+        ends.append(draw_given(machine, mixture, 300, rng=np.random.default_rng(1), clamped={(2, unit): value}))
+    # The parts that go with the unit over the family go with it in the draws, too.
+    high = top[:, unit] > 0.5
+    if 5 < high.sum() < 45:
+        seen = train.exists[high].mean(axis=0) - train.exists[~high].mean(axis=0)
+        drawn = ends[2].exists.mean(axis=0) - ends[0].exists.mean(axis=0)
+        part = int(np.abs(seen).argmax())
+        assert np.abs(seen[part]) < 0.2 or np.sign(drawn[part]) == np.sign(seen[part])
+
+
+def test_what_cannot_be_is_refused(learned):
+    _, test, machine, mixture = learned
+    with pytest.raises(ValueError, match="clamped"):
+        draw_given(machine, mixture, 1, rng=np.random.default_rng(0), clamped={(0, 10**6): 1.0})
+    _, known = landmarks_of(test, 0)
+    with pytest.raises(ValueError, match="seat"):
+        without = test.exists[0] & (np.array(PART_NAMES) != "seat")
+        draw_given(machine, mixture, 1, rng=np.random.default_rng(0), points=known, exists=without)
+
+
+def test_the_way_between_two_shapes_begins_and_ends_there(learned):
+    train, _, machine, _ = learned
+    latents = infer(machine, train.values, train.exists)
+    way = between(latents[0], latents[7], np.linspace(0, 1, 5))
+    values = decode(machine, way)
+    np.testing.assert_allclose(values[[0, 4]], decode(machine, latents)[[0, 7]], atol=2e-3)
+    np.testing.assert_array_equal(way.exists[[0, 4]], train.exists[[0, 7]])
+    steps = np.abs(np.diff(values, axis=0)).mean(axis=(1, 2))
+    assert steps.max() < 0.6 * np.abs(values[4] - values[0]).mean() + 1e-3
