@@ -38,7 +38,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "refine": ("fit", "learn"),
     "synthesize": ("fit", "learn"),
 }
-REVISION = 2
+REVISION = 3
 """Raised when stages mean something else by the same options: results of older revisions are then stale."""
 
 RESULTS: dict[str, tuple[str, ...]] = {
