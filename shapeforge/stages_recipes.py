@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from threadpoolctl import threadpool_limits
 
 from shapeforge.stages import StageError
 from shapeforge.store import Project
@@ -69,24 +70,27 @@ def remake(project: Project, recipe: Mapping[str, Any], sources: Any = None) -> 
         )
     sources = sources_of(project) if sources is None else sources
     exists = np.array([name in recipe["parts"] for name in sources.part_names])
-    hidden = [np.array(layer, machine.dtype)[None] for layer in recipe["hidden"]]
-    points = points_of(machine, Latents(tuple(hidden), exists[None]))
+    hidden = tuple(np.array([layer], machine.dtype) for layer in recipe["hidden"])
     taken = [recipe["sources"].get(name, "") for name in sources.part_names]
     unknown = sorted({name for name in taken if name and name not in sources.names})
     if unknown:
         raise StageError(f"sources: the project has no fitted shape {', '.join(unknown)}")
     shapes = np.array([sources.names.index(name) if name else -1 for name in taken])
-    return synthesize(points, exists, sources, shapes=shapes)
+    with threadpool_limits(1, "blas"):  # as the stage does it: sums on several threads round otherwise
+        points = points_of(machine, Latents(hidden, exists[None]))
+        return synthesize(points, exists, sources, shapes=shapes)
 
 
 def points_of(machine: Any, latents: Any) -> Float[np.ndarray, "K 3"]:
     """Points (K, 3) of one shape's latents in normal coordinates, NaN where a part is absent.
 
-    Always of one shape by itself: a product of many rows may round otherwise.
+    Always of one shape by itself, in arrays of its own: a product of many rows, or of rows with other strides, may
+    round otherwise.
     """
-    from shapeforge.generative.inference import decode
+    from shapeforge.generative.inference import Latents, decode
 
-    return np.asarray(machine.to_positions(decode(machine, latents), latents.exists)[0], np.float64)
+    alone = Latents(tuple(np.array(layer[0], machine.dtype)[None] for layer in latents.layers), latents.exists)
+    return np.asarray(machine.to_positions(decode(machine, alone), latents.exists)[0], np.float64)
 
 
 def remake_files(project: Project, recipes: Sequence[str | Path], out: str | Path, ending: str) -> list[Path]:

@@ -92,8 +92,8 @@ def all_beliefs(state: Any, index: int) -> Any:
 
 
 def looks_of(state: Any) -> tuple[TemplateLook, ...]:
-    """The parts of every template of a state."""
-    return tuple(TemplateLook(t.label, tuple(t.part_names), t.source) for t in state.templates)
+    """The parts of every template of a state, and whose it is."""
+    return tuple(TemplateLook(t.label, tuple(t.part_names), t.source or "the whole family") for t in state.templates)
 
 
 def fitted_points(beliefs: Any, looks: Sequence[TemplateLook]) -> FittedPoints:

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from shapeforge.generative.units import bundles
 from shapeforge.viewer import likeness, svg
 from shapeforge.viewer.pictures import close_studio
 from shapeforge.viewer.report import chosen_shapes, report_text, write_report
 from shapeforge.viewer.report_measures import flattened
-from shapeforge.viewer.report_sections import recorded_movement
+from shapeforge.viewer.report_sections import BUNDLES, recorded_movement
 from tests.viewer.learned_family import learned_family
 
 
@@ -108,7 +109,8 @@ def test_every_shape_is_there_three_times_and_looks_different(whole):
         colourful = parts[parts[..., 3] > 200][:, :3].astype(int)
         assert (np.ptp(colourful, axis=1) > 80).mean() > 0.5
         assert not np.array_equal(parts, places)
-    assert sum("low end" in image["alt"] for image in page.images) == len(whole.directions())
+    shown = [*whole.directions(), *bundles(whole.machine(), whole.observations(), BUNDLES)]
+    assert sum("low end" in image["alt"] for image in page.images) == len(shown) > len(whole.directions())
     for name in whole.draws()["names"]:
         assert name in by_alt
 

@@ -334,7 +334,7 @@ class FitPlace:
             self.heads[1][1].setText("not fitted yet")
             self.heads[2][1].setText("after the fit")
         else:
-            source = "" if look is None else f" from {look.source}" if look.source else ", the family's own"
+            source = f" from {look.source}" if look is not None else ""
             self.heads[1][1].setText(f"{now.template + 1} of {len(self.record.looks)}{source}")
             old = number < self.record.newest
             self.heads[2][1].setText(f"of round {self.record.newest}, pale = unsure" if old else "pale = unsure")
