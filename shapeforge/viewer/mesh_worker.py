@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
+from threadpoolctl import threadpool_limits
 
 from shapeforge.synthesis.assemble import SynthesizedShape
 from shapeforge.synthesis.assemble import synthesize as synthesize_mesh
@@ -116,8 +117,6 @@ class MeshWorker:
 
     def _make_beside(self, asked: int, number: int, points: np.ndarray, exists: np.ndarray) -> None:
         """One of the previews besides.  One that fails stays a cloud of points: nobody waits for it."""
-        from shapeforge.synthesis.assemble import synthesize as synthesize_mesh
-
         try:
             shape = synthesize_mesh(points, exists, self._sources_now(), preview=True)
         except Exception:
@@ -147,6 +146,7 @@ class MeshWorker:
         if not preview or self._retrieved[0] != key:
             fixed = {part: sources.names.index(name) for part, name in taken.items() if name in sources.names}
             self._retrieved = (key, retrieve(points, exists, sources, fixed=fixed).shape)
-        shape = synthesize_mesh(points, exists, sources, preview=preview, shapes=self._retrieved[1])
+        with threadpool_limits(1, "blas"):  # a recipe makes it again to the byte, on any number of processors
+            shape = synthesize_mesh(points, exists, sources, preview=preview, shapes=self._retrieved[1])
         nearest, distance = self._nearest(points)
         return Made(wish, shape, preview, nearest, distance)
