@@ -190,7 +190,10 @@ def _two(text: str, between: str, option: str) -> list[str]:
 @app.command()
 def fit(
     path: ProjectPath,
-    rounds: Annotated[int | None, typer.Option(min=1, help="Outer rounds at most (first run: 10).")] = None,
+    rounds: Annotated[
+        int | None,
+        typer.Option(min=1, help="Outer rounds; of several exemplars 7 of 10, then 8 of the family's (first run: 10)."),
+    ] = None,
     inner: Annotated[int | None, typer.Option(min=1, help="Inner rounds (first run: 3).")] = None,
     seed: Seed = None,
     jobs: Jobs = None,
