@@ -28,6 +28,9 @@ LENT, LENT_ODDS = 0.1, 1.0
 """A part that the best exemplar lacks is another's, if at least this share of what that one says of it is believed, and
 if the log odds of its existence, both opinions together, are at least these (or nobody was asked yet)."""
 
+BROUGHT_ODDS = 0.0
+"""The same for a part that the family's templates bring to a shape whose best exemplar lacks it."""
+
 COMPACT = ("deformed", "variance", "segmentation")
 """Arrays of the beliefs that a fit holds in single precision, of every shape and exemplar."""
 
@@ -135,7 +138,7 @@ def believed_parts(candidates: Sequence[Candidate]) -> Bool[np.ndarray, " L"]:
     """Parts (L,) that the shape has: those of the best candidate, and those lent to it.
 
     The family's templates bring every part of every exemplar to a shape: one that the best exemplar lacks must be as
-    likely there as one that is lent, unless it is painted.
+    likely there as not, unless it is painted.
     """
     best = best_of(candidates)
     parts = best.beliefs.active.copy()
@@ -143,7 +146,7 @@ def believed_parts(candidates: Sequence[Candidate]) -> Bool[np.ndarray, " L"]:
     if best.family and exemplars:
         lacking = best_of(exemplars).beliefs
         odds = _together(best.beliefs, lacking)
-        parts &= lacking.active | ~(odds < LENT_ODDS) | np.isin(np.arange(len(parts)), best.beliefs.evidence)
+        parts &= lacking.active | ~(odds < BROUGHT_ODDS) | np.isin(np.arange(len(parts)), best.beliefs.evidence)
         if not parts.any():
             parts = best.beliefs.active.copy()
     parts[list(lenders(candidates))] = True

@@ -30,7 +30,7 @@ from shapeforge.deformation.updates import make_problem
 ROUNDS = 8
 """Outer rounds of the family's templates."""
 
-SIGMA = 0.04
+SIGMA = 0.03
 """σ1 (diagonals) they start with; by the last round it is at its floor."""
 
 TRIAL_ROUNDS = 4

@@ -12,7 +12,7 @@ from shapeforge.collection.groups import Groups
 from shapeforge.collection.iterate import last
 from shapeforge.collection.prepare import prepare_shape
 from shapeforge.deformation import family
-from shapeforge.deformation.exemplars import leading
+from shapeforge.deformation.exemplars import believed_parts, leading
 from shapeforge.deformation.factors import FLOORS
 from shapeforge.deformation.fit import fit_templates
 from shapeforge.deformation.hierarchy import family_templates
@@ -79,3 +79,25 @@ def test_parts_of_two_exemplars_are_found_together_on_a_shape_that_has_both(fami
     exemplars = [candidate for candidate in state.candidates[2] if not candidate.family]
     assert not any(candidate.beliefs.active[wanted].all() for candidate in exemplars)
     assert leading(state.candidates[2]).misfit < min(candidate.misfit for candidate in exemplars)
+
+
+def test_a_part_that_the_best_exemplar_lacks_is_as_likely_there_as_not(family_fit):
+    names, state = family_fit
+    leg = names.index("leg")
+    of_family = next(one for one in state.candidates[2] if one.family)
+    exemplar = next(one for one in state.candidates[2] if not one.family)
+    without_leg = np.arange(len(names)) != leg
+
+    def candidates(odds: float, painted: bool = False):
+        belief = of_family.beliefs
+        said = np.where(without_leg, belief.misfit, odds)
+        evidence = np.full_like(belief.evidence, leg if painted else -1)
+        lacking = replace(exemplar.beliefs, active=without_leg, misfit=np.full(len(names), np.nan))
+        return (
+            replace(of_family, beliefs=replace(belief, misfit=said, evidence=evidence), weight=1.0),
+            replace(exemplar, beliefs=lacking, weight=0.5),
+        )
+
+    assert believed_parts(candidates(0.5))[leg]
+    assert not believed_parts(candidates(-0.5))[leg]
+    assert believed_parts(candidates(-0.5, painted=True))[leg]
