@@ -20,6 +20,9 @@ GAP_SCALE, TURN_SCALE = 0.006, 0.2
 """Gap (diagonals) between a deformed template and the surface, and 1 - |cos| between their normals, both in the mean
 over the shape, that cost an exemplar one nat against the others."""
 
+WORTHLESS = 4.0
+"""Nats behind the best from which an exemplar's explanation of a shape is given up: its word counts for 2% there."""
+
 LOCAL_GAP, LOCAL_TURN = 0.007, 0.15
 """The same around one point of the surface: an exemplar with arms may speak for the arms of a shape that another
 exemplar explains better in all else."""
@@ -76,6 +79,12 @@ def weighted(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
     """The candidates with weights that follow from their misfits; the best one's is 1."""
     least = min(candidate.misfit for candidate in candidates)
     return tuple(replace(candidate, weight=float(np.exp(least - candidate.misfit))) for candidate in candidates)
+
+
+def worth_hearing(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """The candidates without those that explain the shape so much worse than the best that nobody would hear them."""
+    least = min(candidate.misfit for candidate in candidates)
+    return tuple(candidate for candidate in candidates if candidate.misfit < least + WORTHLESS)
 
 
 def leading(candidates: Sequence[Candidate]) -> Candidate:

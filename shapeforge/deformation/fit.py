@@ -21,7 +21,7 @@ from shapeforge.collection.parallel import in_order, kept, shared
 from shapeforge.collection.shape import Shape, Shapes
 from shapeforge.deformation import family
 from shapeforge.deformation.beliefs import Beliefs
-from shapeforge.deformation.exemplars import Candidate, blend, with_copies
+from shapeforge.deformation.exemplars import Candidate, blend, with_copies, worth_hearing
 from shapeforge.deformation.factors import FLOORS, Covariances, floored, initial_covariances
 from shapeforge.deformation.hierarchy import Hierarchy, link_templates
 from shapeforge.deformation.shape_fit import work_on_shape
@@ -41,6 +41,9 @@ EXEMPLARS_SHARE = 0.7
 SEED_WEIGHT, SEED_DECAY = 3.0, 0.8
 """Power with which proposed label probabilities count beside the templates in the first round, and its factor a round.
 As a mere start they were forgotten in a round or two, and what all shapes had agreed on was lost on odd ones."""
+
+HEARD_ROUNDS = 3
+"""Rounds that every exemplar tried on a shape gets before its word may be found worthless there."""
 
 EXEMPLARS_PER_SHAPE = 3
 """Exemplars tried on every shape: its own group's and the next best by affine residual."""
@@ -204,8 +207,12 @@ def _one_round(
             seeds if seeds is not None else repeat(None), repeat(SEED_WEIGHT * SEED_DECAY**state.round),
         )  # fmt: skip
         for t, worked in enumerate(results):
-            trial_is_over = in_family >= family.TRIAL_ROUNDS
-            candidates.append(family.better_start(worked.candidates) if trial_is_over else worked.candidates)
+            going_on = worked.candidates
+            if in_family >= family.TRIAL_ROUNDS:
+                going_on = family.better_start(going_on)
+            elif not of_family and number >= HEARD_ROUNDS:
+                going_on = worth_hearing(going_on)
+            candidates.append(going_on)
             moves.append(worked.moved[worked.best])
             best = worked.summaries[worked.best]
             # a template is learnt from the shapes of its own group, the family's from all; Σ from every shape's best
