@@ -16,7 +16,7 @@ GROUP = 0.9
 
 @njit(cache=True, nogil=True)
 def cell_size(points, k):
-    """An edge of cells that suits ``nearest_k``: nearly the radius that holds k points of the surface, 80 at least."""
+    """An edge of cells that suits a search: nearly the radius that holds k points of the surface."""
     largest = 0.0
     for axis in range(3):
         largest = max(largest, points[:, axis].max() - points[:, axis].min())
@@ -27,7 +27,7 @@ def cell_size(points, k):
     occupied = 0
     for c in range(len(first) - 1):
         occupied += first[c + 1] > first[c]
-    reach = trial * np.sqrt(max(k, 80) * occupied / (np.pi * len(points)))
+    reach = trial * np.sqrt(k * occupied / (np.pi * len(points)))
     return max(0.9 * reach, largest / MOST_CELLS)
 
 
@@ -190,6 +190,50 @@ def nearest_k(points, queries, k, size, out, squared):
                 dz = placed[at, 2] - queries[i, 2]
                 out[i, j] = order[at]
                 squared[i, j] = dx * dx + dy * dy + dz * dz
+
+
+@njit(cache=True, nogil=True)
+def nearest_1(points, queries, size, out, squared):
+    """The nearest of ``points`` (n >= 1) to every query: indices into ``out`` (Q, 1), squared distances; exact.
+
+    Queries are taken cell by cell, so that what the last one found bounds the ball to be searched for the next.
+    """
+    low, shape, first, order = cell_grid(points, size)
+    placed = points[order]
+    _, _, _, query_order = cell_grid(queries, size_of_groups(queries, size))
+    best = 0
+    for i in query_order:
+        x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
+        bound = (placed[best, 0] - x) ** 2 + (placed[best, 1] - y) ** 2 + (placed[best, 2] - z) ** 2
+        cx = min(max(int((x - low[0]) / size), 0), shape[0] - 1)
+        cy = min(max(int((y - low[1]) / size), 0), shape[1] - 1)
+        cz = min(max(int((z - low[2]) / size), 0), shape[2] - 1)
+        cell = (cx * shape[1] + cy) * shape[2] + cz
+        for at in range(first[cell], first[cell + 1]):
+            apart = (placed[at, 0] - x) ** 2 + (placed[at, 1] - y) ** 2 + (placed[at, 2] - z) ** 2
+            if apart < bound:
+                bound, best = apart, at
+        reach = np.sqrt(bound) * 1.00001 + 1e-12
+        y0 = min(max(int((y - reach - low[1]) / size), 0), shape[1] - 1)
+        y1 = min(max(int((y + reach - low[1]) / size), 0), shape[1] - 1)
+        z0 = min(max(int((z - reach - low[2]) / size), 0), shape[2] - 1)
+        z1 = min(max(int((z + reach - low[2]) / size), 0), shape[2] - 1)
+        x0 = min(max(int((x - reach - low[0]) / size), 0), shape[0] - 1)
+        x1 = min(max(int((x + reach - low[0]) / size), 0), shape[0] - 1)
+        for gx in range(x0, x1 + 1):
+            gap = max(low[0] + gx * size - x, x - low[0] - (gx + 1) * size, 0.0)
+            if gap * gap > bound:
+                continue
+            for gy in range(y0, y1 + 1):
+                gap_y = max(low[1] + gy * size - y, y - low[1] - (gy + 1) * size, 0.0)
+                if gap * gap + gap_y * gap_y > bound:
+                    continue
+                row = (gx * shape[1] + gy) * shape[2]
+                for at in range(first[row + z0], first[row + z1 + 1]):
+                    apart = (placed[at, 0] - x) ** 2 + (placed[at, 1] - y) ** 2 + (placed[at, 2] - z) ** 2
+                    if apart < bound:
+                        bound, best = apart, at
+        out[i, 0], squared[i, 0] = order[best], bound
 
 
 @njit(cache=True, nogil=True)

@@ -71,6 +71,10 @@ def nearest_neighbours(points: Float[np.ndarray, "P 3"], k: int) -> Int[np.ndarr
     return index[~itself].reshape(len(points), k).astype(np.int32)
 
 
+CELL, ONE_CELL = 80, 40
+"""Points that the ball around a cell of the search grid holds, for several neighbours (at least) and for one."""
+
+
 def nearest_points(
     points: Float[np.ndarray, "n 3"], queries: Float[np.ndarray, "Q 3"], k: int = 1
 ) -> tuple[Int[np.ndarray, "Q k"], Float[np.ndarray, "Q k"]]:
@@ -86,7 +90,10 @@ def nearest_points(
     points, queries = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(queries, np.float64)
     if not (np.isfinite(points).all() and np.isfinite(queries).all()):
         raise FloatingPointError("points: wanted finite coordinates, got NaN or infinity")
-    _kernels_near.nearest_k(points, queries, k, _kernels_near.cell_size(points, k), index, squared)
+    if k == 1:
+        _kernels_near.nearest_1(points, queries, _kernels_near.cell_size(points, ONE_CELL), index, squared)
+    else:
+        _kernels_near.nearest_k(points, queries, k, _kernels_near.cell_size(points, max(k, CELL)), index, squared)
     return index, np.sqrt(squared)
 
 
