@@ -42,6 +42,9 @@ ASKED, ASKED_SIGMA = 8, 0.02
 TRUSTED = 0.7
 """What the exemplars say of the labels is believed to this share at the start; the rest is spread evenly."""
 
+PART_SAMPLE = 300
+"""Points of either side by which a part gets its affine start."""
+
 LEAST_POINTS = 12
 """Points of a part, on either side, from which it gets an affine start of its own."""
 
@@ -116,7 +119,7 @@ def family_starts(
     for part in np.flatnonzero(believed).tolist():
         mine, theirs = top.label == part, likeliest == part
         if min(mine.sum(), theirs.sum()) >= LEAST_POINTS:
-            own = affine_align(deformed[mine], shape.points[theirs])
+            own = affine_align(deformed[mine], shape.points[theirs], n_points=PART_SAMPLE)
             maps[part], offsets[part] = own.matrix @ maps[part], own(offsets[part][None])[0]
             deformed[mine] = own(deformed[mine])
     starts = [
