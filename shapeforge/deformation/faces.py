@@ -38,7 +38,7 @@ TEMPLATE_SHARE = 0.4
 LEAST_VOICE = 0.05
 """An exemplar whose word is worth less than this at a face is not asked there."""
 
-BORDER = 40.0
+BORDER = 60.0
 """Width of a border in thousandths of the root of the area (see ``cut_faces``)."""
 
 
