@@ -1,6 +1,6 @@
 """How many CPU-seconds does a shape take?  Preparation, and the whole fit with one exemplar and with three.
 
-    python -m benchmarks.fit_speed [--data DIR] [--points 5000] [--shapes 8] [--repeat 1] [--json]
+    python -m benchmarks.fit_speed [--data DIR] [--points 5000] [--shapes 24] [--repeat 1] [--json]
 
 Preparation is split into reading, sampling, descriptors and patches.  The fit has 10 outer and 3 inner rounds, from the
 affine start to the last state, with as many template points as points and the poses known.  Beside it, in the same
@@ -146,7 +146,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--data", type=Path, help="folder with meshes, and .seg labels for the fit")
     parser.add_argument("--points", type=int, default=5000)
-    parser.add_argument("--shapes", type=int, default=8)
+    parser.add_argument("--shapes", type=int, default=24)
     parser.add_argument("--up", default="keep")
     parser.add_argument("--repeat", type=int, default=1)
     parser.add_argument("--json", action="store_true", help="only the last line")

@@ -9,9 +9,9 @@ import numpy as np
 
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation import family
-from shapeforge.deformation.exemplars import Candidate, weighted, with_copies
+from shapeforge.deformation.exemplars import Candidate, weighted, with_copies, worth_hearing
 from shapeforge.deformation.factors import FLOORS, Covariances
-from shapeforge.deformation.fit import ANNEALING, EXEMPLARS_PER_SHAPE, exemplar_rounds
+from shapeforge.deformation.fit import ANNEALING, EXEMPLARS_PER_SHAPE, HEARD_ROUNDS, exemplar_rounds
 from shapeforge.deformation.hierarchy import Hierarchy
 from shapeforge.deformation.shape_fit import work_on_shape
 from shapeforge.deformation.starts import exemplar_starts
@@ -48,6 +48,8 @@ def fit_candidates(
     for step in range(exemplar_rounds(rounds) if of_family else rounds):
         sharpened = at(max(FLOORS["unary"], annealed_from * ANNEALING**step))
         candidates = work_on_shape(shape, faces, exemplars, candidates, sharpened, inner, None, False).candidates
+        if step + 1 >= HEARD_ROUNDS:
+            candidates = worth_hearing(candidates)
     if not of_family:
         return with_copies(shape, exemplars, candidates)
     assert hierarchy is not None

@@ -12,9 +12,9 @@ from shapeforge.collection.groups import Groups
 from shapeforge.collection.iterate import last
 from shapeforge.collection.prepare import prepare_shape
 from shapeforge.deformation import family
-from shapeforge.deformation.exemplars import believed_parts, leading
+from shapeforge.deformation.exemplars import WORTHLESS, believed_parts, leading, worth_hearing
 from shapeforge.deformation.factors import FLOORS
-from shapeforge.deformation.fit import fit_templates
+from shapeforge.deformation.fit import HEARD_ROUNDS, fit_templates
 from shapeforge.deformation.hierarchy import family_templates
 from tests.deformation.test_hierarchy import PARTS, chair
 
@@ -101,3 +101,28 @@ def test_a_part_that_the_best_exemplar_lacks_is_as_likely_there_as_not(family_fi
     assert believed_parts(candidates(0.5))[leg]
     assert not believed_parts(candidates(-0.5))[leg]
     assert believed_parts(candidates(-0.5, painted=True))[leg]
+
+
+def test_an_exemplar_far_behind_the_best_is_given_up(family_fit):
+    shape = family_fit[1].candidates[2]
+    near, far = (replace(shape[0], misfit=shape[0].misfit + behind) for behind in (WORTHLESS - 0.1, WORTHLESS + 0.1))
+    assert worth_hearing((far, shape[0], near)) == (shape[0], near)
+
+
+def test_given_up_exemplars_are_not_taken_up_again():
+    """A chair and a bench ask both exemplars at first; the one of the other kind is dropped on the way."""
+    made = generate("chairs", 2, seed=3, broken=0.0, classes=("side",)) + generate(
+        "chairs", 2, seed=3, broken=0.0, classes=("bench",)
+    )
+    shapes = [
+        prepare_shape(f"{i}", one.mesh, n_points=400, up="keep", rng=np.random.default_rng(i))
+        for i, one in enumerate(made)
+    ]
+    names = made[0].part_names
+    labels = {t: np.array([names.index(made[t].part_names[part]) for part in made[t].faces], np.int32) for t in (0, 2)}
+    groups = Groups(("chairs", "benches"), np.array([0, 0, 1, 1]), np.array([0, 2]), np.zeros((4, 2)))
+    counts = []
+    for state in fit_templates(shapes, groups, labels, names, rounds=10, rng=np.random.default_rng(0)):
+        counts.append(sum(not one.family for found in state.candidates for one in found))
+    assert counts[0] == counts[HEARD_ROUNDS - 1] == 8
+    assert (np.diff(counts) <= 0).all() and counts[-1] < 8
