@@ -89,8 +89,9 @@ def groups(project: Any) -> str:
         more = (
             f"<span class=more>and {len(members) - 1 - len(some)} more</span>" if len(members) - 1 > len(some) else ""
         )
+        caption = escape(exemplar).replace("_", "_<wbr>")
         blocks.append(
-            f"<div class=group><figure>{image(large, exemplar)}<figcaption>★ {escape(exemplar)}</figcaption></figure>"
+            f"<div class=group><figure>{image(large, exemplar)}<figcaption>★&nbsp;{caption}</figcaption></figure>"
             f"<div><h3>{dot(colours[g])}{escape(name)} <small>{len(members)}</small></h3>"
             f"<div class=strip>{small}{more}</div></div></div>"
         )
