@@ -54,7 +54,7 @@ class Page(HTMLParser):
             self.open.append(tag)
 
     def handle_endtag(self, tag):
-        if tag in ("line", "rect", "circle", "polyline", "meta", "img"):
+        if tag in ("line", "rect", "circle", "polyline", "meta", "img", "wbr"):
             return
         assert self.open and self.open[-1] == tag, f"</{tag}> closes <{self.open[-1:]}>"
         self.open.pop()
