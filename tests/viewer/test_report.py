@@ -50,11 +50,11 @@ class Page(HTMLParser):
         self.addresses += [found[key] for key in ("src", "href", "data", "action") if key in found]
         if "id" in found:
             self.anchors.add(found["id"])
-        if tag not in ("img", "meta", "line", "rect", "circle", "polyline", "br"):
+        if tag not in ("img", "meta", "line", "rect", "circle", "polyline", "br", "wbr"):
             self.open.append(tag)
 
     def handle_endtag(self, tag):
-        if tag in ("line", "rect", "circle", "polyline", "meta", "img", "wbr"):
+        if tag in ("line", "rect", "circle", "polyline", "meta", "img"):
             return
         assert self.open and self.open[-1] == tag, f"</{tag}> closes <{self.open[-1:]}>"
         self.open.pop()
