@@ -39,7 +39,7 @@ from shapeforge.viewer.display import Display, MeshLayer, PointLayer, View, face
 from shapeforge.viewer.fit_display import FittedPoints, TemplateLook, mesh_layer, probable_layer, three_views
 from shapeforge.viewer.look import frame_of, place_camera
 from shapeforge.viewer.painting import PaintState
-from shapeforge.viewer.palette import label_colours
+from shapeforge.viewer.palette import label_colours, part_colours
 from shapeforge.viewer.picking import Picker, project
 from shapeforge.viewer.scene import Scene
 
@@ -68,7 +68,7 @@ def brush_times(n_faces: int) -> dict[str, float]:
     middle = mesh.n_faces // 2 + round(mesh.n_faces**0.5 / 2)
     position = surface.centres[middle]
     plotter, scene = _scene()
-    first = MeshLayer("shape", mesh.vertices, mesh.triangles, face_colours(state.labels, 4))
+    first = MeshLayer("shape", mesh.vertices, mesh.triangles, face_colours(state.labels, part_colours(4)))
     scene.show(Display((View((first,)),)))
     place_camera(scene.camera, *frame_of(mesh.vertices, WIDTH / HEIGHT))
     begin = time.perf_counter()
@@ -86,7 +86,7 @@ def brush_times(n_faces: int) -> dict[str, float]:
 
     def redraw() -> None:
         dab()
-        colours = face_colours(state.labels, 4)[mesh.face_of_triangle]
+        colours = face_colours(state.labels, part_colours(4))[mesh.face_of_triangle]
         scene.show(Display((View((MeshLayer("shape", mesh.vertices, mesh.triangles, colours),)),)))
         scene.pixels()
 
@@ -111,7 +111,7 @@ def fit_view_times(family: TrueFamily) -> dict[str, float]:
     """Milliseconds of one frame of the live fit view, and frames per second."""
     shape, positions, names = family.shapes[0], family.positions[0], tuple(family.part_names)
     there = np.isfinite(positions).all(axis=1)
-    look = TemplateLook(np.asarray(family.part)[there], names, "chair")
+    look = TemplateLook(np.asarray(family.part)[there], names, "chair", part_colours(len(names)))
     rng = np.random.default_rng(0)
     plotter, scene = _scene()
     plain, ghost = mesh_layer(shape, "#CDD0D6"), mesh_layer(shape, "#CDD0D6", 0.16, "ghost")
@@ -125,7 +125,7 @@ def fit_view_times(family: TrueFamily) -> dict[str, float]:
 
     def frame() -> None:
         number = next(turn)
-        parts = probable_layer(shape, chances[number % 4])
+        parts = probable_layer(shape, chances[number % 4], part_colours(len(names)))
         scene.show(three_views(plain, ghost, look, rounds[number % 4], rounds[(number - 1) % 4], parts, "part"))
         scene.pixels()
 
@@ -158,7 +158,7 @@ def slider_times(family: TrueFamily, seed: int) -> dict[str, float]:
     chosen = retrieve(points, exists, sources).shape
     read = 1e3 * (time.perf_counter() - begin)
     plotter, scene = _scene()
-    colours = label_colours(np.asarray(family.part, np.int64), len(family.part_names))
+    colours = label_colours(np.asarray(family.part, np.int64), part_colours(len(family.part_names)))
 
     def show_points() -> None:
         now = move()

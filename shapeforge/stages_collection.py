@@ -278,6 +278,7 @@ def label(task: Task) -> Iterator[Progress]:
     if project.part_names is not None and not (folder / LABELS_FILE).is_file():  # known ids keep their names
         known = dict(zip(project.part_names.ids, project.part_names.names, strict=True))
         given = PartNames(given.ids, tuple(map(known.get, given.ids, given.names)))
+    given = replace(given, colours=_chosen_colours(project))
     part_names = merged_part_names(project.part_names if kept else None, given)
     translate = np.array([part_names.ids.index(part) for part in given.ids] + [-1], np.int32)
     taken, problems, absent = [], [], []
@@ -355,7 +356,12 @@ def merged_part_names(present: PartNames | None, given: PartNames) -> PartNames:
             f"labels.json: {twice!r} would be the name of the ids {which}, as other shapes of the project have labels "
             "by other ids. Use the same ids for all shapes, or label all of them again into a new project."
         )
-    return PartNames(tuple(names), tuple(names.values()))
+    return PartNames(tuple(names), tuple(names.values()), given.colours)
+
+
+def _chosen_colours(project: Project) -> Mapping[str, str]:
+    """The colours that a user gave to parts: a part that keeps its name keeps its colour."""
+    return project.part_names.colours if project.part_names else {}
 
 
 # -- cosegment -------------------------------------------------------------------------------------------------------
@@ -391,7 +397,8 @@ def cosegment(task: Task) -> Iterator[Progress]:
     write_names(folder / "names.zarr.zip", project.names)
     number = len(proposal.part_names)
     if not project.labelled:
-        project.set_part_names(PartNames(tuple(range(number)), tuple(proposal.part_names)))
+        part_names = PartNames(tuple(range(number)), tuple(proposal.part_names), _chosen_colours(project))
+        project.set_part_names(part_names)
     text = f"{number} parts proposed" if not options["edits"] else f"{number} parts: {', '.join(proposal.part_names)}"
     task.summary |= {"text": text, "parts": number, "energy": float(getattr(proposal, "energy", np.nan))}
     task.summary["part_names"] = list(proposal.part_names)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from shapeforge.collection.colours import part_colours
+from shapeforge.collection.colours import inks_of
 from shapeforge.collection.labels import PartNames, write_part_names, write_seg
 from shapeforge.stages import Progress, StageError, Task
 from shapeforge.store import Project
@@ -97,7 +97,7 @@ def write_labelled(out: Path, name: str, made: dict[str, Any], part_names: PartN
     from shapeforge.collection.meshes import read_mesh, write_mesh
 
     path = out / f"{name}.{ending}"
-    colours = part_colours(len(made["part_names"]))
+    colours = inks_of(made["part_names"], part_names.colours)
     with clear_disk_errors(path):
         out.mkdir(parents=True, exist_ok=True)
         write_mesh(path, made["vertices"], made["triangles"], made["part"], tuple(made["part_names"]), colours)
@@ -149,4 +149,4 @@ def fitted_part_names(project: Project) -> PartNames:
     part_names, fitted = project.part_names, project.hierarchy().top.part_names
     if part_names is not None and part_names.names == tuple(fitted):
         return part_names
-    return PartNames(tuple(range(len(fitted))), tuple(fitted))
+    return PartNames(tuple(range(len(fitted))), tuple(fitted), part_names.colours if part_names else {})

@@ -28,8 +28,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Int, UInt8
 
+from shapeforge.collection.colours import inks_of
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.labels import PartNames
 from shapeforge.collection.shape import Shape
@@ -290,12 +291,31 @@ class Project(Results):
     def part_names(self) -> PartNames | None:
         """Parts of the family, None before any label is known."""
         stored = self._metadata["part_names"]
-        return PartNames(tuple(stored["ids"]), tuple(stored["names"])) if stored else None
+        if not stored:
+            return None
+        return PartNames(tuple(stored["ids"]), tuple(stored["names"]), dict(stored.get("colours", {})))
 
-    def set_part_names(self, part_names: PartNames) -> None:
-        """Name the parts; parts may be added or renamed, labels keep their part index."""
+    def part_inks(self, names: Sequence[str] | None = None) -> UInt8[np.ndarray, "L 3"]:
+        """Colours (L, 3) of the parts called ``names`` (None: the project's): those chosen, else by their place."""
+        known = self.part_names or PartNames((), ())
+        return inks_of(known.names if names is None else names, known.colours)
+
+    def set_part_names(self, part_names: PartNames, edits: Mapping[str, Any] | None = None) -> None:
+        """Name the parts; parts may be added or renamed, labels keep their part index.
+
+        ``edits`` is the history of changing them by hand that leads to these, written at once with them.
+        """
+        names = list(part_names.names)
+        colours = {name: colour for name, colour in part_names.colours.items() if name in names}
         with self._changing() as metadata:
-            metadata["part_names"] = {"ids": list(part_names.ids), "names": list(part_names.names)}
+            metadata["part_names"] = {"ids": list(part_names.ids), "names": names, "colours": colours}
+            if edits is not None:
+                metadata["part_edits"] = dict(edits)
+
+    @property
+    def part_edits(self) -> dict[str, Any]:
+        """The history of changing the parts by hand as it was written, empty before there is any."""
+        return json.loads(json.dumps(self._metadata.get("part_edits", {})))
 
     @property
     def labelled(self) -> tuple[str, ...]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 from jaxtyping import UInt8
 
@@ -44,3 +46,17 @@ def cycle(colours: tuple[str, ...], n: int) -> UInt8[np.ndarray, "n 3"]:
 def part_colours(n: int) -> UInt8[np.ndarray, "n 3"]:
     """Colours (n, 3) of parts 0..n-1: the colour-blind-safe set of Okabe and Ito, extended."""
     return cycle(PARTS, n)
+
+
+def inks_of(names: Sequence[str], chosen: Mapping[str, str]) -> UInt8[np.ndarray, "n 3"]:
+    """Colours (n, 3) of the parts called ``names``: those ``chosen`` ("#RRGGBB" by name), else by their place."""
+    inks = part_colours(len(names))
+    for part, name in enumerate(names):
+        if chosen.get(name):
+            inks[part] = rgb(chosen[name])
+    return inks
+
+
+def as_hex(ink: UInt8[np.ndarray, " 3"]) -> str:
+    """A colour (3,) as "#RRGGBB"."""
+    return "#{:02X}{:02X}{:02X}".format(*(int(c) for c in ink))

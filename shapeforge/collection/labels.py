@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -35,10 +36,14 @@ class LabelError(ValueError):
 
 @dataclass(frozen=True)
 class PartNames:
-    """The parts of a family, in order: part ``l`` is called ``names[l]`` and has id ``ids[l]`` in ``.seg`` files."""
+    """The parts of a family, in order: part ``l`` is called ``names[l]`` and has id ``ids[l]`` in ``.seg`` files.
+
+    ``colours`` are those that a user gave to parts, "#RRGGBB" by name; the others have the colour of their place.
+    """
 
     ids: tuple[int, ...]
     names: tuple[str, ...]
+    colours: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.names)

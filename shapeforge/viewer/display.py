@@ -119,23 +119,26 @@ class Display:
         )
 
 
-def face_colours(labels: Int[np.ndarray, " F"], n_parts: int, hidden: Collection[int] = ()) -> UInt8[np.ndarray, "F 3"]:
+def face_colours(
+    labels: Int[np.ndarray, " F"], inks: UInt8[np.ndarray, "L 3"], hidden: Collection[int] = ()
+) -> UInt8[np.ndarray, "F 3"]:
     """Colour of every face record (F, 3) from its part index (-1: unpainted); ``hidden`` parts in switched-off grey."""
-    colours = label_colours(labels, n_parts)
+    colours = label_colours(labels, inks)
     for part in hidden:
         colours[labels == part] = rgb(SWITCHED_OFF)
     return colours
 
 
-def probability_colours(probabilities: Float[np.ndarray, "F L"]) -> UInt8[np.ndarray, "F 3"]:
+def probability_colours(
+    probabilities: Float[np.ndarray, "F L"], inks: UInt8[np.ndarray, "L 3"]
+) -> UInt8[np.ndarray, "F 3"]:
     """The probable part's colour (F, 3), paler the smaller its margin over the second part: a coin toss is all pale."""
-    n_parts = probabilities.shape[1]
     best = probabilities.argmax(axis=1)
-    if n_parts == 1:
-        return label_colours(best, 1)
+    if probabilities.shape[1] == 1:
+        return label_colours(best, inks)
     top = np.sort(probabilities, axis=1)[:, -2:]
     margin = (top[:, 1] - top[:, 0]) / np.maximum(top.sum(axis=1), 1e-12)
-    return pale(label_colours(best, n_parts), np.clip(margin, 0, 1).astype(float) ** 0.7)
+    return pale(label_colours(best, inks), np.clip(margin, 0, 1).astype(float) ** 0.7)
 
 
 def record_borders(

@@ -6,7 +6,7 @@ watched, where the template points were: memory does not grow with the collectio
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from shapeforge.collection.shape import Shape
 from shapeforge.viewer.display import Caption, Display, LineLayer, MeshLayer, PointLayer, View, probability_colours
-from shapeforge.viewer.palette import SWITCHED_OFF, heat, part_colours, rgb
+from shapeforge.viewer.palette import SWITCHED_OFF, heat, rgb
 
 POINT_SIZE, OFF_SIZE = 4.2, 2.4
 SMALLEST_MOVE = 2e-3
@@ -66,11 +66,13 @@ class Round:
 
 @dataclass(frozen=True, eq=False)
 class TemplateLook:
-    """What the window needs of one exemplar's templates: the part of each point (K,), and whose they are."""
+    """What the window needs of one exemplar's templates: the part of each point (K,), the parts' names and colours
+    (L, 3), and whose they are."""
 
     label: Int[np.ndarray, " K"]
     part_names: tuple[str, ...]
     source: str
+    inks: UInt8[np.ndarray, "L 3"]
 
 
 def best_beliefs(state: Any, index: int) -> Any:
@@ -91,9 +93,12 @@ def all_beliefs(state: Any, index: int) -> Any:
     return state.beliefs[index]
 
 
-def looks_of(state: Any) -> tuple[TemplateLook, ...]:
-    """The parts of every template of a state, and whose it is."""
-    return tuple(TemplateLook(t.label, tuple(t.part_names), t.source or "the whole family") for t in state.templates)
+def looks_of(state: Any, inks_of: Callable[[Sequence[str]], UInt8[np.ndarray, "L 3"]]) -> tuple[TemplateLook, ...]:
+    """The parts of every template of a state, their colours by ``inks_of(names)``, and whose it is."""
+    return tuple(
+        TemplateLook(t.label, tuple(t.part_names), t.source or "the whole family", inks_of(t.part_names))
+        for t in state.templates
+    )
 
 
 def fitted_points(beliefs: Any, looks: Sequence[TemplateLook]) -> FittedPoints:
@@ -114,11 +119,12 @@ def turned(vertices: Float[np.ndarray, "V 3"], turn: Float[np.ndarray, "3 3"]) -
     return vertices if np.array_equal(turn, np.eye(3)) else np.ascontiguousarray(vertices @ turn.T)
 
 
-def record_round(state: Any, names: Sequence[str], watched: Sequence[str], before: Any | None) -> Round:
+def record_round(
+    state: Any, names: Sequence[str], watched: Sequence[str], before: Any | None, looks: Sequence[TemplateLook]
+) -> Round:
     """What to remember of a state; ``before`` is the state of the round before, for the movement."""
     points: dict[str, FittedPoints] = {}
     moved: dict[str, float] = {}
-    looks = looks_of(state)
     for index, name in enumerate(names):
         beliefs = best_beliefs(state, index)
         if before is not None:
@@ -141,18 +147,17 @@ def point_colours(
     if by == "movement":
         values = np.zeros(len(look.label)) if moved is None else np.asarray(moved, float) / FULL_HEAT
         return heat(values)
-    colours = part_colours(len(look.part_names))[look.label]
+    colours = look.inks[look.label]
     colours[~fitted.active[look.label]] = rgb(SWITCHED_OFF)
     return colours
 
 
 def all_points(look: TemplateLook, fitted: FittedPoints) -> tuple[Float[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
     """Points (n, 3) and colours (n, 3) of a small picture: the template's own, and those of parts lent to the shape."""
-    inks = part_colours(len(look.part_names))
     lent = [part for part, _, _ in fitted.lent]
     own = ~np.isin(look.label, lent)  # what is lent stands in the place of what is switched off
     colours = [point_colours(look, fitted, "part")[own]]
-    colours += [np.tile(inks[part], (len(there), 1)) for part, there, _ in fitted.lent]
+    colours += [np.tile(look.inks[part], (len(there), 1)) for part, there, _ in fitted.lent]
     places = [fitted.positions[own], *(there for _, there, _ in fitted.lent)]
     return np.concatenate(places), np.concatenate(colours).astype(np.uint8)
 
@@ -181,11 +186,12 @@ def mesh_layer(
 
 
 def probable_layer(
-    shape: Shape, probabilities: Float[np.ndarray, "F L"], turn: Float[np.ndarray, "3 3"] = UNTURNED
-) -> MeshLayer:
+    shape: Shape, probabilities: Float[np.ndarray, "F L"], inks: UInt8[np.ndarray, "L 3"],
+    turn: Float[np.ndarray, "3 3"] = UNTURNED,
+) -> MeshLayer:  # fmt: skip
     """The mesh of a shape in the colours of its probable parts, pale where it is unsure."""
     mesh = shape.mesh
-    colours = probability_colours(np.asarray(probabilities, float))[mesh.face_of_triangle]
+    colours = probability_colours(np.asarray(probabilities, float), inks)[mesh.face_of_triangle]
     return MeshLayer("parts", turned(mesh.vertices, turn), mesh.triangles, np.ascontiguousarray(colours))
 
 
@@ -204,9 +210,8 @@ def template_view(
         off = ~on & ~np.isin(look.label, [part for part, _, _ in now.lent])
         if off.any():
             layers.append(PointLayer("off", positions[off], colours[off], OFF_SIZE))
-        inks = part_colours(len(look.part_names))
         for part, there, _ in now.lent:
-            ink = np.tile(inks[part], (len(there), 1)) if by == "part" else heat(np.zeros(len(there)))
+            ink = np.tile(look.inks[part], (len(there), 1)) if by == "part" else heat(np.zeros(len(there)))
             layers.append(PointLayer(f"lent {part}", np.asarray(there, float), ink.astype(np.uint8), dot))
         if moved is not None and before is not None:
             far = on & (moved > SMALLEST_MOVE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,8 @@ class FitRecord:
             return False
         if state.round == 0:
             self.begin()
-        self.rounds[state.round] = record_round(state, self.project.names, watched, self.state)
+        looks = looks_of(state, self.project.part_inks)
+        self.rounds[state.round] = record_round(state, self.project.names, watched, self.state, looks)
         self.state = state
         self._keep(state)
         return True
@@ -70,7 +72,7 @@ class FitRecord:
         if state is None:
             return
         self._keep(state)
-        last = record_round(state, self.project.fit_names, (), None)
+        last = record_round(state, self.project.fit_names, (), None, self.looks)
         recorded = self.project.round_figures()
         self._templates = [figures["template"] for figures in recorded]
         self.rounds = {
@@ -136,8 +138,16 @@ class FitRecord:
             self._off[part] = tuple(self._names[t] for t in off if t < len(self._names))
         return self._off[part]
 
+    def recolour(self) -> bool:
+        """Take the parts' colours as they are now; True when they are others than before."""
+        looks = tuple(replace(look, inks=self.project.part_inks(look.part_names)) for look in self.looks)
+        changed = any(not np.array_equal(new.inks, old.inks) for new, old in zip(looks, self.looks, strict=True))
+        if changed:
+            self.looks = looks
+        return changed
+
     def _keep(self, state: Any) -> None:
-        self.looks, self._off = looks_of(state), {}
+        self.looks, self._off = looks_of(state, self.project.part_inks), {}
         self._names = self.project.fit_names if self.state is None else self.project.names
         number = len(state.candidates) if hasattr(state, "candidates") else len(state.beliefs)
         self.active = np.stack([best_beliefs(state, t).active for t in range(number)])

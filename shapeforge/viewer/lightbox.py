@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import cKDTree
 from scipy.special import gammainc
 
@@ -145,6 +145,11 @@ class Lightbox:
             self._shared = None if fit is None else (fit.templates, fit.covariances)
             self.coordinate = coordinate_colours(self.top.points)
         return True
+
+    @property
+    def inks(self) -> UInt8[np.ndarray, "L 3"]:
+        """Colours (L, 3) of the parts."""
+        return self.session.project.part_inks(self.top.part_names)
 
     @property
     def n_points(self) -> int:
@@ -309,7 +314,8 @@ class Lightbox:
     def _layer(self, shape: Corresponded, colour_by: str, picked: int | None) -> MeshLayer:
         """The coloured mesh; the same object as long as it would look the same."""
         theme = self.session.theme
-        key = (shape.name, colour_by, picked if colour_by == "spread" else None, theme)
+        inks = self.inks.tobytes() if colour_by == "part" else b""
+        key = (shape.name, colour_by, picked if colour_by == "spread" else None, theme, inks)
         if key not in self._layers:
             for old in [k for k in self._layers if k[0] == shape.name and k[1] == colour_by]:
                 del self._layers[old]
@@ -321,7 +327,7 @@ class Lightbox:
         project = self.session.project
         if colour_by in ("part", "part_entropy"):
             if colour_by == "part":
-                of_face = face_colours(project.face_labels(shape.name), len(self.top.part_names))
+                of_face = face_colours(project.face_labels(shape.name), self.inks)
             else:
                 of_face = heat(part_bits(project.face_probabilities(shape.name)) / FULL_PART_BITS)
             return MeshLayer("shape", shape.vertices, shape.triangles, of_face[shape.face])

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from shapeforge.collection.shape import Mesh
 from shapeforge.viewer.display import MeshLayer, PointLayer, View, coordinate_colours
-from shapeforge.viewer.palette import label_colours, part_colours, rgb, tokens
+from shapeforge.viewer.palette import label_colours, rgb, tokens
 from shapeforge.viewer.pictures import shape_picture, take_picture
 
 GREY = "#B9BDC6"
@@ -36,8 +36,8 @@ def part_picture(project: Any, name: str, size: int | tuple[int, int]) -> UInt8[
     if labels is None:
         return None
     fitted = project.hierarchy()
-    count = len(fitted.top.part_names) if fitted is not None else len(project.part_names or ())
-    return shape_picture(project, name, size, "light", labels=labels, n_parts=count, transparent=True)
+    inks = project.part_inks(fitted.top.part_names if fitted is not None else None)
+    return shape_picture(project, name, size, "light", labels=labels, inks=inks, transparent=True)
 
 
 def place_colours(project: Any) -> UInt8[np.ndarray, "K 3"]:
@@ -78,11 +78,11 @@ def correspondence_picture(project: Any, name: str, size: int | tuple[int, int])
 
 
 def mesh_picture(
-    vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"], part: Int[np.ndarray, " N"], n_parts: int,
-    size: int | tuple[int, int],
+    vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"], part: Int[np.ndarray, " N"],
+    inks: UInt8[np.ndarray, "L 3"], size: int | tuple[int, int],
 ) -> UInt8[np.ndarray, "h w 4"]:  # fmt: skip
     """A synthesized mesh by part."""
-    colours = np.ascontiguousarray(label_colours(np.asarray(part), n_parts))
+    colours = np.ascontiguousarray(label_colours(np.asarray(part), inks))
     layer = MeshLayer("mesh", np.asarray(vertices, dtype=float), triangles, colours)
     return take_picture(View((layer,)), size, "light", transparent=True)
 
@@ -95,11 +95,6 @@ def points_picture(
     there = np.isfinite(points).all(axis=1)
     layer = PointLayer("points", np.asarray(points[there], dtype=float), np.ascontiguousarray(colours[there]), dot)
     return take_picture(View((layer,), ground=False), size, "light", transparent=True, camera=camera)
-
-
-def part_point_colours(part: Int[np.ndarray, " K"], n_parts: int) -> UInt8[np.ndarray, "K 3"]:
-    """The colour of the part of every point."""
-    return part_colours(n_parts)[part]
 
 
 def data_address(picture: UInt8[np.ndarray, "h w 4"]) -> str:

@@ -23,7 +23,7 @@ from shapeforge.viewer.display import Display, View
 from shapeforge.viewer.fit_display import mesh_layer, template_view
 from shapeforge.viewer.fit_record import FitRecord
 from shapeforge.viewer.notebook_desk import NotebookDesk, action_button, show_verdict
-from shapeforge.viewer.palette import group_colours, part_colours, rgb, tokens
+from shapeforge.viewer.palette import as_hex, group_colours, rgb, tokens
 from shapeforge.viewer.pictures import contact_sheet, shape_picture, take_picture
 from shapeforge.viewer.sculptor import Recipe, Sculptor, measure_words
 from shapeforge.viewer.session import Session
@@ -120,8 +120,7 @@ class FamilyView(_Watching):
             labels = project.face_labels(name)
             labels = project.labels(name) if labels is None else labels
             if labels is not None:
-                count = max(len(project.part_names or ()), int(labels.max(initial=0)) + 1)
-                picture = shape_picture(project, name, self.size, theme, labels=labels, n_parts=count)
+                picture = shape_picture(project, name, self.size, theme, labels=labels, inks=project.part_inks())
                 return _framed(picture, name, session)
         if by == "correspondence":
             view = likeness.correspondence_view(project, name)
@@ -343,9 +342,8 @@ def legend(project: Any) -> ipywidgets.HTML:
     """The parts and their colours."""
     names = project.part_names.names if project.part_names is not None else ()
     words = []
-    for name, colour in zip(names, part_colours(len(names)), strict=True):
-        ground = "#{:02X}{:02X}{:02X}".format(*(int(c) for c in colour))
-        words.append(f'<span style="background:{ground};padding:0 .5em">&nbsp;</span> {escape(name)}')
+    for name, ink in zip(names, project.part_inks(names), strict=True):
+        words.append(f'<span style="background:{as_hex(ink)};padding:0 .5em">&nbsp;</span> {escape(name)}')
     return ipywidgets.HTML(" &emsp; ".join(words))
 
 

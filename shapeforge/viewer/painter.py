@@ -272,7 +272,7 @@ class Painter:
         """The View of the shape now; arrays keep their identity while they do not change."""
         labels = self.state.labels
         hidden = self.hidden_parts
-        colours = face_colours(labels, len(self.part_names))[self.mesh.face_of_triangle]
+        colours = face_colours(labels, self.session.project.part_inks())[self.mesh.face_of_triangle]
         gone = np.isin(labels, list(hidden))[self.mesh.face_of_triangle] if hidden else None
         key = None if gone is None else gone.tobytes()
         if self._drawn is None or self._drawn[0] != key:

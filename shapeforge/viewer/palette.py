@@ -7,7 +7,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from shapeforge.collection.colours import colour_table, cycle, part_colours, rgb
+from shapeforge.collection.colours import as_hex, colour_table, cycle, rgb
+from shapeforge.collection.colours import part_colours as part_colours
 
 Theme = Literal["dark", "light"]
 
@@ -75,11 +76,11 @@ def group_colours(n: int) -> UInt8[np.ndarray, "n 3"]:
     return cycle(GROUPS, n)
 
 
-def label_colours(labels: Int[np.ndarray, " n"], n_parts: int) -> UInt8[np.ndarray, "n 3"]:
-    """Colours (n, 3) of part indices (n,); -1 (and anything outside 0..n_parts-1) is the unpainted grey."""
-    table = np.vstack([part_colours(n_parts), colour_table((UNPAINTED,))])
-    known = (labels >= 0) & (labels < n_parts)
-    return table[np.where(known, labels, n_parts)]
+def label_colours(labels: Int[np.ndarray, " n"], inks: UInt8[np.ndarray, "L 3"]) -> UInt8[np.ndarray, "n 3"]:
+    """Colours (n, 3) of part indices (n,), the parts' being ``inks``; -1 (and what is no part) is unpainted grey."""
+    table = np.vstack([inks, colour_table((UNPAINTED,))])
+    known = (labels >= 0) & (labels < len(inks))
+    return table[np.where(known, labels, len(inks))]
 
 
 def heat(values: Float[np.ndarray, " n"]) -> UInt8[np.ndarray, "n 3"]:
@@ -102,4 +103,4 @@ def pale(
 def mix(first: str, second: str, share: float) -> str:
     """The colour "#RRGGBB" that is ``share`` (0..1) of ``first`` and the rest ``second``."""
     blend = [round(share * a + (1 - share) * b) for a, b in zip(rgb(first), rgb(second), strict=True)]
-    return "#{:02X}{:02X}{:02X}".format(*blend)
+    return as_hex(np.array(blend, np.uint8))

@@ -21,7 +21,7 @@ from jaxtyping import Float, Int, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from shapeforge.viewer.display import Display, MeshLayer, PointLayer, View
-from shapeforge.viewer.palette import Theme, label_colours, rgb, tokens
+from shapeforge.viewer.palette import Theme, label_colours, part_colours, rgb, tokens
 
 if TYPE_CHECKING:
     from shapeforge.collection.shape import Mesh
@@ -164,19 +164,21 @@ def point_thumbnail(
 
 def shape_picture(
     project: Any, name: str, size: int | tuple[int, int] = 96, theme: Theme = "dark", *,
-    labels: Int[np.ndarray, " F"] | None = None, n_parts: int | None = None,
+    labels: Int[np.ndarray, " F"] | None = None, inks: UInt8[np.ndarray, "L 3"] | None = None,
     colour: tuple[int, int, int] | None = None, transparent: bool = False,
 ) -> UInt8[np.ndarray, "h w c"]:  # fmt: skip
     """Picture of the shape ``name`` of a project, from ``PROJECT/thumbs`` when it was taken before.
 
-    Coloured by ``labels`` (part index per face record, -1 unpainted), else all in ``colour``, else grey.
+    Coloured by ``labels`` (part index per face record, -1 unpainted) in the parts' ``inks`` (None: of their place),
+    else all in ``colour``, else grey.
     """
     width, height = (size, size) if isinstance(size, int) else size
     digest = hashlib.sha256()
-    digest.update(repr((LOOK_VERSION, name, width, height, theme, colour, transparent, n_parts)).encode())
+    digest.update(repr((LOOK_VERSION, name, width, height, theme, colour, transparent)).encode())
     digest.update(repr(_shape_key(project, name)).encode())
     if labels is not None:
-        digest.update(np.ascontiguousarray(labels, np.int32).tobytes())
+        inks = part_colours(int(labels.max(initial=-1)) + 1) if inks is None else inks
+        digest.update(np.ascontiguousarray(labels, np.int32).tobytes() + np.asarray(inks, np.uint8).tobytes())
     file = Path(project.path) / "thumbs" / f"{digest.hexdigest()[:24]}.png"
     picture = _read(file, (height, width, 4 if transparent else 3))
     if picture is not None:
@@ -184,8 +186,7 @@ def shape_picture(
     mesh = project.shapes[list(project.names).index(name)].mesh
     colours = None if colour is None else np.array(colour, np.uint8)
     if labels is not None:
-        count = n_parts if n_parts is not None else int(labels.max(initial=-1)) + 1
-        colours = label_colours(labels, count)
+        colours = label_colours(labels, inks)
     picture = thumbnail(mesh, colours, (width, height), theme, transparent=transparent)
     _write(file, picture)
     return picture

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from shapeforge.collection.colours import PARTS
+from shapeforge.collection.colours import as_hex
 from shapeforge.viewer import likeness, svg
-from shapeforge.viewer.palette import group_colours, part_colours
+from shapeforge.viewer.palette import group_colours
 from shapeforge.viewer.report_html import dot, image, number, percent, table
 
 CARD, FACE, WIDE = (112, 112), (168, 168), (150, 150)
@@ -27,7 +27,7 @@ def _part_names(project: Any) -> tuple[str, ...]:
 
 def _legend(project: Any) -> str:
     names = _part_names(project)
-    colours = part_colours(len(names))
+    colours = project.part_inks(names)
     return "".join(f"<span>{dot(c)}{escape(name)}</span>" for name, c in zip(names, colours, strict=True))
 
 
@@ -149,7 +149,7 @@ def _about(project: Any, name: str) -> str:
         absent = [part for part, area in zip(names, areas, strict=True) if area == 0]
         if absent:
             words += f" · no {escape(', '.join(absent))}"
-        css = [PARTS[k % len(PARTS)] for k in range(len(names))]
+        css = [as_hex(ink) for ink in project.part_inks(names)]
         bar = svg.shares(list(areas), names, css, title="shares of the surface by part", width=320)
     return words + "</small>" + bar
 
@@ -221,7 +221,7 @@ def directions(project: Any) -> str:
     if not directions or machine is None or observations is None:
         return ""
     directions = [*directions, *bundles(machine, observations, BUNDLES)]
-    colours = likeness.part_point_colours(machine.part, len(machine.part_names))
+    colours = project.part_inks(machine.part_names)[machine.part]
     patterns, which, counts = np.unique(observations.exists, axis=0, return_inverse=True, return_counts=True)
     base_index = int(np.flatnonzero(which == counts.argmax())[0])
     one = slice(base_index, base_index + 1)
@@ -267,7 +267,8 @@ def new_shapes(project: Any) -> str:
             continue
         made = read_record(path)[0]
         names = tuple(made["part_names"])
-        picture = likeness.mesh_picture(made["vertices"], made["triangles"], made["part"], len(names), FACE)
+        inks = project.part_inks(names)
+        picture = likeness.mesh_picture(made["vertices"], made["triangles"], made["part"], inks, FACE)
         from_ = ", ".join(f"{part} of {source}" for part, source in zip(names, made["sources"], strict=True) if source)
         measures = made["measures"]
         gap = measures.get("largest_gap")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import cKDTree
 
 from shapeforge.generative.draw import draw
@@ -24,7 +24,7 @@ from shapeforge.synthesis.complete import bridging_parts
 from shapeforge.synthesis.sources import touching_shares
 from shapeforge.viewer.display import Caption, Display, Mark, MeshLayer, PointLayer, View
 from shapeforge.viewer.mesh_worker import Made
-from shapeforge.viewer.palette import heat, label_colours, part_colours
+from shapeforge.viewer.palette import heat, label_colours
 from shapeforge.viewer.readiness import group_of
 from shapeforge.viewer.session import Session
 from shapeforge.viewer.slider_names import changes, choose_names, what_moves
@@ -316,10 +316,15 @@ class Sculptor:
 
     # ---- what is shown -------------------------------------------------------------------------------------------
 
+    @property
+    def inks(self) -> UInt8[np.ndarray, "L 3"]:
+        """Colours (L, 3) of the parts."""
+        return self.session.project.part_inks(self.part_names)
+
     def points_layer(self, points: Float[np.ndarray, "K 3"], size: float = 5.0) -> PointLayer:
         """The points of the shape in hand as dots in their parts' colours."""
         there = np.isfinite(points).all(axis=1)
-        colours = label_colours(np.asarray(self.part, np.int64), len(self.part_names))
+        colours = label_colours(np.asarray(self.part, np.int64), self.inks)
         return PointLayer("points", points[there], colours[there], size)
 
     def heated(
@@ -338,7 +343,7 @@ class Sculptor:
         """A made mesh in its parts' colours."""
         return MeshLayer(
             "mesh", np.asarray(shape.vertices, float), shape.triangles,
-            label_colours(np.asarray(shape.part, np.int64), len(self.part_names)),
+            label_colours(np.asarray(shape.part, np.int64), self.inks),
         )  # fmt: skip
 
     def display(
@@ -384,7 +389,7 @@ def export_mesh(path: Path, sculptor: Sculptor, shape: SynthesizedShape, recipe:
     order = np.argsort(shape.part, kind="stable")
     write_mesh(
         path, shape.vertices, np.asarray(shape.triangles)[order], np.asarray(shape.part)[order], shape.part_names,
-        part_colours(len(shape.part_names)),
+        sculptor.session.project.part_inks(shape.part_names),
     )  # fmt: skip
     settings = {i: value * sculptor.unit(i) for i, value in recipe.sliders.items() if value}
     _, latents = drive_latents(

@@ -20,19 +20,19 @@ from shapeforge.viewer.palette import SWITCHED_OFF, UNPAINTED, part_colours, rgb
 
 
 def test_faces_are_coloured_by_part_unpainted_and_hidden():
-    colours = face_colours(np.array([0, 2, -1, 1]), 3, hidden=(1,))
     parts = part_colours(3)
+    colours = face_colours(np.array([0, 2, -1, 1]), parts, hidden=(1,))
     assert colours.tolist() == [parts[0].tolist(), parts[2].tolist(), list(rgb(UNPAINTED)), list(rgb(SWITCHED_OFF))]
 
 
 def test_a_coin_toss_is_pale_and_certainty_is_not():
-    colours = probability_colours(np.array([[1.0, 0.0], [0.5, 0.5], [0.3, 0.7]]))
+    colours = probability_colours(np.array([[1.0, 0.0], [0.5, 0.5], [0.3, 0.7]]), part_colours(2))
     full, grey = part_colours(2), np.array(rgb(UNPAINTED))
     assert colours[0].tolist() == full[0].tolist()
     assert colours[1].tolist() == grey.tolist()
     away = np.abs(colours[2].astype(int) - grey).sum()
     assert 0 < away < np.abs(full[1].astype(int) - grey).sum()
-    assert probability_colours(np.ones((2, 1))).tolist() == [part_colours(1)[0].tolist()] * 2
+    assert probability_colours(np.ones((2, 1)), part_colours(1)).tolist() == [part_colours(1)[0].tolist()] * 2
 
 
 def test_borders_of_records_leave_the_diagonals_out():

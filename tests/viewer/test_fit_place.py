@@ -16,7 +16,7 @@ from shapeforge.store import Project
 from shapeforge.store_arrays import read_record, write_record
 from shapeforge.viewer.display import PointLayer
 from shapeforge.viewer.fit_display import FittedPoints, TemplateLook, movement, point_colours, sureness, to_plane
-from shapeforge.viewer.palette import SWITCHED_OFF, rgb
+from shapeforge.viewer.palette import SWITCHED_OFF, part_colours, rgb
 from shapeforge.viewer.qt.fit_panel import FitPlace
 from shapeforge.viewer.qt.fit_report import existence_text
 from shapeforge.viewer.qt.fit_widgets import draw_points
@@ -35,7 +35,7 @@ def points(positions: np.ndarray, active: tuple[bool, ...] = (True, True), templ
     return FittedPoints(positions.astype(np.float32), template, np.array(active))
 
 
-LOOK = TemplateLook(np.array([0, 0, 1, 1]), ("back", "seat"), "a")
+LOOK = TemplateLook(np.array([0, 0, 1, 1]), ("back", "seat"), "a", part_colours(2))
 
 
 def test_switched_off_parts_are_grey():

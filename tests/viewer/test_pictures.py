@@ -80,7 +80,7 @@ def test_pictures_of_shapes_are_kept_and_told_apart(tmp_path):
     first = shape_picture(shelf, "box", 48)
     assert np.array_equal(shape_picture(shelf, "box", 48), first) and shelf.read == 1
     labels = np.zeros(6, np.int32)
-    second = shape_picture(shelf, "box", 48, labels=labels, n_parts=2)
+    second = shape_picture(shelf, "box", 48, labels=labels, inks=part_colours(2))
     assert shelf.read == 2 and not np.array_equal(first, second)
     hue = second[24, 24].astype(int)
     assert np.argmax(hue) == np.argmax(part_colours(1)[0])

@@ -110,7 +110,7 @@ def test_neighbouring_parts_never_share_a_colour():
 
 
 def test_unknown_labels_are_unpainted_grey():
-    colours = palette.label_colours(np.array([0, -1, 5]), 2)
+    colours = palette.label_colours(np.array([0, -1, 5]), palette.part_colours(2))
     assert tuple(colours[1]) == tuple(colours[2]) == palette.rgb(palette.UNPAINTED)
     assert tuple(colours[0]) == palette.rgb(PARTS[0])
 

@@ -264,6 +264,8 @@ class FitPlace:
             return
         if not self.session.running:
             self.record.load()
+        if self.record.recolour():
+            self._pictures.clear()
         self._show_tools()
         self._show_views()
         show_legend(self.legend, self.record.looks, self.by.value_text(), self.number())
@@ -291,7 +293,9 @@ class FitPlace:
                 self._layers.clear()
             shape = self.session.project.shapes.named(name)
             if kind == "parts":
-                self._layers[stamp] = probable_layer(shape, self._probabilities(name, shape), turn)
+                self._layers[stamp] = probable_layer(
+                    shape, self._probabilities(name, shape), self.record.looks[0].inks, turn
+                )
             else:
                 colour = tokens(self.session.theme)["shape"]
                 self._layers[stamp] = mesh_layer(shape, colour, 1.0 if kind == "plain" else 0.16, kind, turn)

@@ -8,7 +8,7 @@ from PySide6.QtWidgets import QFrame, QWidget
 
 from shapeforge.viewer.fit_display import sureness
 from shapeforge.viewer.fit_record import WATCHED_AT_MOST, FitRecord
-from shapeforge.viewer.palette import part_colours, tokens
+from shapeforge.viewer.palette import as_hex, tokens
 from shapeforge.viewer.qt.plots import Curves
 from shapeforge.viewer.qt.widgets import (
     Swatch,
@@ -96,7 +96,7 @@ class FitReport(QWidget):
         self.change.set_theme(session.theme)
         self.change.set_series([(numbers, changes, look["text_2"])], of, at)
         names = record.looks[0].part_names if record.looks else ()
-        inks = ["#{:02X}{:02X}{:02X}".format(*ink) for ink in part_colours(len(names))]
+        inks = [as_hex(ink) for ink in record.looks[0].inks] if record.looks else []
         curves = [
             (numbers, [100 * float(rounds[n].sigma[part]) for n in numbers], inks[part]) for part in range(len(names))
         ]
@@ -112,13 +112,13 @@ class FitReport(QWidget):
             self.part_list.addWidget(label("Known after the first round.", "caption"))
             return
         names = record.looks[0].part_names
-        inks = part_colours(len(names))
+        inks = record.looks[0].inks
         sure = sureness(np.asarray(beliefs.segmentation, float))
         lent = {part: record.looks[theirs.template].source for part, theirs in beliefs.lent}
         known = set(record.looks[beliefs.template].label.tolist())
         for part, part_name in enumerate(names):
             on = bool(beliefs.active[part]) or part in lent
-            swatch = Swatch("#{:02X}{:02X}{:02X}".format(*inks[part]))
+            swatch = Swatch(as_hex(inks[part]))
             swatch.setEnabled(on)
             off_on = record.off_on(part)
             tooltip = f"Off on {len(off_on)} of {len(record.active)} shapes" if off_on else "On every shape"

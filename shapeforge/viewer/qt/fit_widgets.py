@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QBoxLayout, QFrame, QWidget
 
 from shapeforge.viewer.fit_display import FULL_HEAT, TemplateLook, all_points, to_plane
 from shapeforge.viewer.fit_record import FitRecord, look_at, moved_text
-from shapeforge.viewer.palette import SWITCHED_OFF, part_colours, tokens
+from shapeforge.viewer.palette import SWITCHED_OFF, as_hex, tokens
 from shapeforge.viewer.qt.theme import PADDING, colours, font
 from shapeforge.viewer.qt.widgets import Choice, Swatch, clear, column, label, row
 from shapeforge.viewer.session import Session
@@ -55,9 +55,8 @@ def show_legend(box: QBoxLayout, looks: Sequence[TemplateLook], by: str, number:
         box.addWidget(label(f"pale: at rest · dark red: moved {100 * FULL_HEAT:g}% of size or more", "caption"))
     elif looks:
         names = looks[0].part_names
-        inks = part_colours(len(names))
         for part, name in enumerate(names[:LEGEND_AT_MOST]):
-            box.addWidget(Swatch("#{:02X}{:02X}{:02X}".format(*inks[part]), size=10))
+            box.addWidget(Swatch(as_hex(looks[0].inks[part]), size=10))
             box.addWidget(label(name, "caption"))
             box.addSpacing(6)
         box.addWidget(Swatch(SWITCHED_OFF, size=8, disc=True))

@@ -128,7 +128,7 @@ class LargeView(QWidget):
                 labels = project.face_labels(name)
             colours = None
             if labels is not None:
-                colours = label_colours(labels, len(project.part_names))
+                colours = label_colours(labels, project.part_inks())
             elif by == "group" and groups is not None:
                 colours = np.array(rgb(group_colour(g, len(groups))), np.uint8)
             while len(self._kept) > 2 * MOST:

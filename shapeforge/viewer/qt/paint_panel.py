@@ -434,14 +434,14 @@ class PaintPlace:
 
     def _picture(self, count: int) -> QPixmap | None:
         labels = self.painter.state.labels_after(count)
-        n_parts, mesh, theme = len(self.painter.part_names), self.painter.mesh, self.session.theme
+        inks, mesh, theme = self.session.project.part_inks(), self.painter.mesh, self.session.theme
 
         def take() -> np.ndarray:
             return take_picture(
-                mesh_view(mesh, label_colours(labels, n_parts), theme), (128, 104), theme, transparent=True
+                mesh_view(mesh, label_colours(labels, inks), theme), (128, 104), theme, transparent=True
             )
 
-        return self.thumbnails.pixmap(("history", self.painter.name, labels.tobytes(), theme), take)
+        return self.thumbnails.pixmap(("history", self.painter.name, labels.tobytes(), inks.tobytes(), theme), take)
 
     # ---- next ----------------------------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QFrame, QWidget
 
 from shapeforge.viewer.actions import Actions
-from shapeforge.viewer.palette import part_colours
+from shapeforge.viewer.palette import as_hex
 from shapeforge.viewer.qt.bind import Binding, action_button
 from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.synthesize_parts import DirectionRow, FamilyMap
@@ -45,6 +45,7 @@ class SynthesizeInspector(QFrame):
         self.locked: frozenset[int] = frozenset()
         self.rows: list[DirectionRow] = []
         self.switches: dict[int, Switch] = {}
+        self.swatches: dict[int, Swatch] = {}
         self.map = FamilyMap()
         self.map.chosen.connect(lambda i: self.shape_chosen.emit(self.sculptor.shape_names[i]))
         family = section(row(label("Family", "heading"), None, label("click to go there", "caption")), self.map)
@@ -99,6 +100,11 @@ class SynthesizeInspector(QFrame):
         self._fill_directions()
         self._fill_parts()
 
+    def show_colours(self) -> None:
+        """The parts' colours as they are now (they may have been changed in Paint)."""
+        for part, swatch in self.swatches.items():
+            swatch.set_colour(as_hex(self.sculptor.inks[part]))
+
     @property
     def is_dragging(self) -> bool:
         """A slider is in hand."""
@@ -151,19 +157,20 @@ class SynthesizeInspector(QFrame):
     def _fill_parts(self) -> None:
         sculptor = self.sculptor
         clear(self.part_rows)
-        self.switches = {}
+        self.switches, self.swatches = {}, {}
         always, seen = sculptor.always(), sculptor.seen()
         shown = [part for part in range(len(sculptor.part_names)) if seen[part]]
         holders: list[QWidget] = []
         for part in shown:
-            colour = "#{:02X}{:02X}{:02X}".format(*part_colours(len(sculptor.part_names))[part])
+            colour = as_hex(sculptor.inks[part])
             switch = Switch(True, "Every shape of the family has it" if always[part] else "Switch this part on or off")
             switch.setEnabled(not always[part])
             switch.setAccessibleName(sculptor.part_names[part])
             switch.clicked.connect(lambda on, part=part: self.switched.emit(part, on))
             self.switches[part] = switch
             holder = QWidget()
-            holder.setLayout(row(Swatch(colour), 2, label(sculptor.part_names[part]), None, switch, spacing=6))
+            self.swatches[part] = Swatch(colour)
+            holder.setLayout(row(self.swatches[part], 2, label(sculptor.part_names[part]), None, switch, spacing=6))
             holders.append(holder)
         for pair in zip(holders[::2], [*holders[1::2], QWidget()], strict=False):
             line = row(*pair, spacing=16)

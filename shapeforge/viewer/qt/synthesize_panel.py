@@ -153,6 +153,7 @@ class SynthesizePlace:
         self._reload()
         if self.sculptor.has_machine:
             self.session.history = self.sculptor
+            self.inspector.show_colours()
             self._wanted()
             self._ask()
 
@@ -422,7 +423,7 @@ class SynthesizePlace:
                 layer = sculptor.points_layer(sculptor.points(recipe), 2.0)
             return take_picture(View((layer,)), (128, 104), theme, transparent=True)
 
-        return self.thumbnails.pixmap(("draw", id(recipe), id(made), theme), take)
+        return self.thumbnails.pixmap(("draw", id(recipe), id(made), theme, sculptor.inks.tobytes()), take)
 
     # ---- verdicts and export -------------------------------------------------------------------------------------
 

@@ -210,7 +210,7 @@ class Shows:
             )
             return take_picture(View((layer,)), CARD, theme, transparent=True)
 
-        return self.place.thumbnails.pixmap(("gallery", id(recipe), made is None, theme), take)
+        return self.place.thumbnails.pixmap(("gallery", id(recipe), made is None, theme, sculptor.inks.tobytes()), take)
 
     def _take(self, i: int) -> None:
         recipe = self.gallery.recipes[i]

@@ -82,16 +82,15 @@ class Thumbnails(QObject):
         session = self._session
         project, theme = session.project, session.theme
         stamp = project.label_key(name) if parts == "painted" else session.revision if parts else 0
-        key = (str(project.path), name, project.shape_record(name)["key"], size, colour, parts, stamp, theme)
+        inks = project.part_inks() if parts else None
+        look = (size, colour, parts, stamp, None if inks is None else inks.tobytes(), theme)
+        key = (str(project.path), name, project.shape_record(name)["key"], *look)
 
         def take() -> np.ndarray:
             labels = None
             if parts:
                 labels = project.labels(name) if parts == "painted" else project.face_labels(name)
-            count = len(project.part_names) if project.part_names is not None else None
-            return shape_picture(
-                project, name, size, theme, labels=labels, n_parts=count, colour=colour, transparent=True
-            )
+            return shape_picture(project, name, size, theme, labels=labels, inks=inks, colour=colour, transparent=True)
 
         return self.pixmap(key, take)
 
