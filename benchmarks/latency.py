@@ -40,6 +40,7 @@ from shapeforge.viewer.fit_display import FittedPoints, TemplateLook, mesh_layer
 from shapeforge.viewer.look import frame_of, place_camera
 from shapeforge.viewer.painting import PaintState
 from shapeforge.viewer.palette import label_colours, part_colours
+from shapeforge.viewer.part_table import plain_table
 from shapeforge.viewer.picking import Picker, project
 from shapeforge.viewer.scene import Scene
 
@@ -64,7 +65,7 @@ def brush_times(n_faces: int) -> dict[str, float]:
     begin = time.perf_counter()
     surface = brushes.face_surface(mesh)
     prepare = 1e3 * (time.perf_counter() - begin)
-    state = PaintState(np.full(mesh.n_faces, -1, np.int32))
+    state = PaintState(np.full(mesh.n_faces, -1, np.int32), plain_table(4))
     middle = mesh.n_faces // 2 + round(mesh.n_faces**0.5 / 2)
     position = surface.centres[middle]
     plotter, scene = _scene()

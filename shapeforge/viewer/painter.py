@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,10 @@ from shapeforge.collection.iterate import last
 from shapeforge.collection.labels import UNLABELLED, PartNames
 from shapeforge.viewer import brushes
 from shapeforge.viewer.display import Mark, MeshLayer, View, face_colours
-from shapeforge.viewer.first_parts import are_proposed, edit_proposed
+from shapeforge.viewer.first_parts import ProposedEdits, are_proposed
 from shapeforge.viewer.painting import PaintState, paint_state
+from shapeforge.viewer.part_edits import PaintHistory, PartEdits, clock
+from shapeforge.viewer.part_table import PartTable
 from shapeforge.viewer.session import Session
 
 BRUSH_LIMITS = (0.004, 0.25)
@@ -30,7 +33,11 @@ TOOL_NAMES: dict[str, str] = {
 
 
 class Painter:
-    """One shape being painted.  ``state`` is its labels and history; ``hidden`` parts are not drawn and not painted."""
+    """One shape being painted.  ``state`` is its labels and strokes; ``hidden`` parts are not drawn and not painted.
+
+    ``edits`` are the changes of the family's parts, ``history`` both in one line.  ``parts_changed`` (if set) is called
+    after the parts are others; ``run(make)`` iterates a stage.
+    """
 
     def __init__(self, session: Session) -> None:
         self.session = session
@@ -38,7 +45,12 @@ class Painter:
         self.hidden: frozenset[int] = frozenset()
         self.isolated = False
         self.edges = False
-        self.state = PaintState(np.zeros(0, np.int32))
+        self.state = PaintState(np.zeros(0, np.int32), PartTable())
+        self.history = PaintHistory(self)
+        self.parts_changed: Callable[[], None] | None = None
+        self.run: Callable[[Callable[[], Iterator[Any]]], None] = lambda make: last(make())
+        self.proposed = ProposedEdits(session, lambda make: self.run(make))
+        self._edits: PartEdits | None = None
         self._plane: tuple[np.ndarray, float, float] | None = None
         self._plane_known = False
         self._saved: np.ndarray | None = None
@@ -50,12 +62,19 @@ class Painter:
     def open(self, name: str) -> None:
         """Paint the shape ``name`` of the project; what was painted before is saved first."""
         self.save()
+        self.read(name)
+
+    def read(self, name: str) -> None:
+        """Take the shape ``name`` as the project has it."""
         project = self.session.project
         self.shape = project.shapes[list(project.names).index(name)]
         self.mesh = self.shape.mesh
         self.surface = brushes.face_surface(self.mesh)
-        self.state = paint_state(self.mesh.n_faces, project.labels(name), project.read_history(name))
-        self._saved, self._saved_done = self.state.labels.copy(), self.state.done
+        table = self.edits.table
+        self.state = paint_state(self.mesh.n_faces, project.labels(name), project.read_history(name), table)
+        self.state.clock = lambda: clock(self.state, self.edits)
+        self.state.recorded = lambda: self.edits.forget_undone()
+        self._remember_saved()
         self._plane_known = False
         self._patches = None
         self.hidden = frozenset()
@@ -88,8 +107,22 @@ class Painter:
         project = self.session.project
         project.set_labels(self.name, labels if (labels >= 0).any() else None)
         project.write_history(self.name, self.state.to_record())
-        self._saved, self._saved_done = labels, self.state.done
+        self._remember_saved()
         return True
+
+    def _remember_saved(self) -> None:
+        self._saved, self._saved_done = self.state.labels.copy(), self.state.done
+
+    @property
+    def is_outdated(self) -> bool:
+        """Somebody else changed the parts, or the labels of this shape, while it was open."""
+        if self.name is None:
+            return False
+        project = self.session.project
+        if self.state.table.named != (project.part_names or PartNames((), ())):
+            return True
+        labels = project.labels(self.name) if self.is_saved else None
+        return labels is not None and not np.array_equal(labels, self.state.labels)
 
     @property
     def mirror_plane(self) -> tuple[Float[np.ndarray, " 3"], float, float] | None:
@@ -121,23 +154,55 @@ class Painter:
         """The parts are proposed ones, and nothing is painted here that is not saved yet."""
         return are_proposed(self.session) and not (self.state.labels >= 0).any()
 
+    @property
+    def edits(self) -> PartEdits:
+        """The parts and the history of changing them, read anew when somebody else changed them."""
+        project = self.session.project
+        kept = self._edits
+        if kept is None or kept.project is not project or kept.table.named != (project.part_names or PartNames((), ())):
+            kept = self._edits = PartEdits(project)
+        return kept
+
+    def change_parts(self, change: Callable[[str | None], None]) -> None:
+        """Have ``change(name of the shape being painted)`` change the parts; all that is shown here follows."""
+        self.state.end()
+        before, part = self.edits.table, self.session.part
+        change(self.name)
+        after = self.edits.table
+        self.state.set_table(after)
+        where = after.part_of
+        self.hidden = frozenset(where[before.ids[p]] for p in self.hidden if before.ids[p] in where)
+        if part < len(before.ids):
+            self.session.part = where.get(before.ids[part], max(min(part, len(after.ids) - 1), 0))
+        self.save()
+        if self.parts_changed is not None:
+            self.parts_changed()
+
+    def _edit_parts(self, kind: str, label: str, after: PartTable) -> None:
+        self.state.end()
+        self.state.forget_undone()
+        when = clock(self.state, self.edits)
+        self.change_parts(lambda name: self.edits.do(kind, label, after, when, name))
+
     def add_part(self, name: str) -> int:
         """Add a part to the family; returns its index.  Raises ValueError when the name is empty or taken."""
-        named = self.session.project.part_names or PartNames((), ())
         name = self._free_name(name, None)
-        fresh = max(named.ids, default=-1) + 1
-        self.session.project.set_part_names(PartNames((*named.ids, fresh), (*named.names, name)))
-        return len(named)
+        self._edit_parts("new", f"new {name}", self.edits.table.with_new(self.edits.fresh_id(), name))
+        return len(self.part_names) - 1
 
     def rename_part(self, part: int, name: str) -> None:
         """Call a part otherwise, in the whole family.  Raises ValueError when the name is empty or taken."""
-        named = self.session.project.part_names
-        names = list(named.names)
-        names[part] = self._free_name(name, part)
+        old, name = self.part_names[part], self._free_name(name, part)
         if self._are_proposed:
-            last(edit_proposed(self.session, "rename", named.names[part], names[part]))
-            return
-        self.session.project.set_part_names(PartNames(named.ids, tuple(names)))
+            self.proposed.do("rename", old, name)
+        elif name != old:
+            self._edit_parts("rename", f"{old} → {name}", self.edits.table.renamed(part, name))
+
+    def recolour_part(self, part: int, colour: str | None) -> None:
+        """Give a part another colour ("#RRGGBB"; None: that of its place), wherever the family is shown."""
+        after = self.edits.table.recoloured(part, colour)
+        if after != self.edits.table:
+            self._edit_parts("recolour", f"colour {self.part_names[part]}", after)
 
     def _free_name(self, name: str, but: int | None) -> str:
         name = " ".join(name.split())
@@ -147,30 +212,18 @@ class Painter:
         return name
 
     def merge_parts(self, kept: int, gone: int) -> None:
-        """Everything labelled ``gone`` becomes ``kept`` and ``gone`` leaves the list, on every shape of the family."""
-        project = self.session.project
-        named = project.part_names
+        """All paint of ``gone`` counts as ``kept`` and ``gone`` leaves the list, on every shape of the family."""
+        names = self.part_names
         if self._are_proposed:
-            last(edit_proposed(self.session, "merge", named.names[kept], named.names[gone]))
+            self.proposed.do("merge", names[kept], names[gone])
             self.hidden, self.session.part = frozenset(), kept - (kept > gone)
             return
-        new_index = {i: i - (i > gone) for i in range(len(named))}
-        new_index[gone] = new_index[kept]
-        self.state.end()
-        table = np.array([UNLABELLED] + [new_index[i] for i in range(len(named))], np.int32)
-        for name in project.labelled:
-            if name != self.name:
-                labels, record = project.labels(name), project.read_history(name)
-                other = paint_state(len(labels), labels, record)
-                other.rename_parts(new_index)
-                project.set_labels(name, table[labels + 1])
-                project.write_history(name, other.to_record())
-        self.state.rename_parts(new_index)
-        self.save()
-        keep = [i for i in range(len(named)) if i != gone]
-        project.set_part_names(PartNames(tuple(named.ids[i] for i in keep), tuple(named.names[i] for i in keep)))
-        self.hidden = frozenset()
-        self.session.part = new_index[kept]
+        self.session.part = kept
+        self._edit_parts("merge", f"{names[gone]} into {names[kept]}", self.edits.table.without(gone, kept))
+
+    def remove_part(self, part: int) -> None:
+        """Take a part off the list; what was painted with it is unpainted, on every shape of the family."""
+        self._edit_parts("remove", f"no {self.part_names[part]}", self.edits.table.without(part))
 
     # ---- tools ---------------------------------------------------------------------------------------------------
 

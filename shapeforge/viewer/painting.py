@@ -1,7 +1,8 @@
 """Painting the parts of one shape: labels, and every stroke that made them.  Pure numpy; no window is known here.
 
 One drag is one stroke is one item of the history.  The history is a list of strokes and a place in it, so that undo and
-redo are the same walk back and forth, and it is kept with the project.
+redo are the same walk back and forth, and it is kept with the project.  Strokes and paint are kept by the ids of parts
+(see ``part_table``), so that they outlast whatever happens to the list of parts; labels are indices into that list.
 """
 
 from __future__ import annotations
@@ -14,34 +15,43 @@ import numpy as np
 from jaxtyping import Int
 
 from shapeforge.collection.labels import UNLABELLED
+from shapeforge.viewer.part_table import PartTable
 
 HISTORY_LIMIT = 500  # strokes kept; older ones become the start
-HISTORY_VERSION = 1
+HISTORY_VERSION = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Stroke:
-    """One edit: ``faces`` (n,) went from part ``before`` (n,) to part ``after`` (n,); -1 is unpainted."""
+    """One edit: ``faces`` (n,) went from the id ``before`` (n,) to ``after`` (n,), -1 is unpainted; ``when`` orders it
+    among all edits."""
 
     tool: str
     label: str
     faces: Int[np.ndarray, " n"]
     before: Int[np.ndarray, " n"]
     after: Int[np.ndarray, " n"]
+    when: int = 0
 
 
 class PaintState:
-    """Labels of one shape's faces with their history.  ``changed`` (if set) is called after every change.
+    """Labels of one shape's faces with their history.
 
-    ``start`` (F,) is where the history begins: part index per face record, -1 unpainted.  The arrays given are copied.
+    ``start`` (F,) is where the history begins: part index per face record in ``table``, -1 unpainted; it is copied.
+    ``changed`` (if set) is called after every change, ``recorded`` after every new stroke; ``clock()`` says when a
+    stroke is made.
     """
 
-    def __init__(self, start: Int[np.ndarray, " F"]) -> None:
+    def __init__(self, start: Int[np.ndarray, " F"], table: PartTable) -> None:
+        self._table = table
         self._labels = np.array(start, np.int32)
+        self._paint = self._table.paint(self._labels)
         self._strokes: list[Stroke] = []
         self._done = 0
         self._open: tuple[str, str, np.ndarray] | None = None
         self.changed: Callable[[], None] | None = None
+        self.recorded: Callable[[], None] | None = None
+        self.clock: Callable[[], int] = lambda: 0
 
     # ---- what is painted -----------------------------------------------------------------------------------------
 
@@ -51,6 +61,11 @@ class PaintState:
         view = self._labels.view()
         view.flags.writeable = False
         return view
+
+    @property
+    def table(self) -> PartTable:
+        """The parts that labels are indices into."""
+        return self._table
 
     @property
     def is_drawing(self) -> bool:
@@ -68,20 +83,23 @@ class PaintState:
         return self._done
 
     def labels_after(self, count: int) -> Int[np.ndarray, " F"]:
-        """Labels (F,) as they were (or will be) after ``count`` strokes."""
-        labels = self._labels.copy()
+        """Labels (F,) as they were (or will be) after ``count`` strokes, in the parts there are now."""
+        return self._table.labels(self._paint_after(count))
+
+    def _paint_after(self, count: int) -> Int[np.ndarray, " F"]:
+        paint = self._paint.copy()
         for stroke in reversed(self._strokes[count : self._done]):
-            labels[stroke.faces] = stroke.before
+            paint[stroke.faces] = stroke.before
         for stroke in self._strokes[self._done : count]:
-            labels[stroke.faces] = stroke.after
-        return labels
+            paint[stroke.faces] = stroke.after
+        return paint
 
     # ---- strokes -------------------------------------------------------------------------------------------------
 
     def begin(self, tool: str, label: str) -> None:
         """Start a stroke: all paint until ``end`` is one item of the history.  An open stroke is ended first."""
         self.end()
-        self._open = (tool, label, self._labels.copy())
+        self._open = (tool, label, self._paint.copy())
 
     def paint(self, faces: Int[np.ndarray, " n"], part: int | Int[np.ndarray, " n"]) -> Int[np.ndarray, " m"]:
         """Give ``faces`` to ``part`` (-1 erases) within the open stroke; returns the faces that really changed."""
@@ -91,6 +109,7 @@ class PaintState:
         differs = self._labels[faces] != wanted
         changed = faces[differs]
         self._labels[changed] = wanted[differs]
+        self._paint[changed] = self._table.paint(wanted[differs])
         if len(changed):
             self._tell()
         return changed
@@ -100,14 +119,16 @@ class PaintState:
         if self._open is None:
             return None
         (tool, label, before), self._open = self._open, None
-        faces = np.flatnonzero(self._labels != before)
+        faces = np.flatnonzero(self._paint != before)
         if not len(faces):
             return None
-        stroke = Stroke(tool, label, faces, before[faces], self._labels[faces].copy())
-        del self._strokes[self._done :]  # what had been undone is forgotten
+        stroke = Stroke(tool, label, faces, before[faces], self._paint[faces].copy(), self.clock())
+        self.forget_undone()
         self._strokes.append(stroke)
         del self._strokes[: len(self._strokes) - HISTORY_LIMIT]
         self._done = len(self._strokes)
+        if self.recorded is not None:
+            self.recorded()
         self._tell()
         return stroke
 
@@ -120,7 +141,7 @@ class PaintState:
     def cancel(self) -> None:
         """Take the open stroke back as if it had not begun."""
         if self._open is not None:
-            self._labels[:] = self._open[2]
+            self._set_paint(self._open[2])
             self._open = None
             self._tell()
 
@@ -149,23 +170,24 @@ class PaintState:
         self.end()
         count = min(max(count, 0), len(self._strokes))
         if count != self._done:
-            self._labels[:] = self.labels_after(count)
+            self._set_paint(self._paint_after(count))
             self._done = count
             self._tell()
 
-    def rename_parts(self, new_index: Mapping[int, int]) -> None:
-        """Give parts other indices, everywhere in the history too (after merging or removing parts)."""
+    def forget_undone(self) -> None:
+        """What had been undone cannot be done again: something new was done instead."""
+        del self._strokes[self._done :]
+
+    def set_table(self, table: PartTable) -> None:
+        """Other parts: the paint stays as it is and counts as what ``table`` says."""
         self.end()
-        highest = max([int(self._labels.max(initial=-1)), *new_index, *(int(s.after.max()) for s in self._strokes)])
-        highest = max([highest, *(int(s.before.max()) for s in self._strokes)])
-        table = np.arange(-1, highest + 1, dtype=np.int32)
-        for old, new in new_index.items():
-            table[old + 1] = new
-        self._labels[:] = table[self._labels + 1]
-        self._strokes = [
-            Stroke(s.tool, s.label, s.faces, table[s.before + 1], table[s.after + 1]) for s in self._strokes
-        ]
+        self._table = table
+        self._set_paint(self._paint)
         self._tell()
+
+    def _set_paint(self, paint: Int[np.ndarray, " F"]) -> None:
+        self._paint = paint
+        self._labels = self._table.labels(paint)
 
     def _tell(self) -> None:
         if self.changed is not None:
@@ -178,10 +200,11 @@ class PaintState:
         empty = np.zeros(0, np.int32)
         return {
             "version": HISTORY_VERSION,
-            "labels": self._labels.copy(),
+            "paint": self._paint.copy(),
             "done": self._done,
             "tools": [s.tool for s in self._strokes],
             "names": [s.label for s in self._strokes],
+            "when": np.array([s.when for s in self._strokes], np.int64),
             "lengths": np.array([len(s.faces) for s in self._strokes], np.int64),
             "faces": np.concatenate([empty, *(s.faces for s in self._strokes)]).astype(np.int64),
             "before": np.concatenate([empty, *(s.before for s in self._strokes)]).astype(np.int32),
@@ -190,7 +213,7 @@ class PaintState:
 
 
 def paint_state(
-    n_faces: int, labels: Int[np.ndarray, " F"] | None = None, record: Mapping[str, Any] | None = None
+    n_faces: int, labels: Int[np.ndarray, " F"] | None, record: Mapping[str, Any] | None, table: PartTable
 ) -> PaintState:
     """A shape's painting from its ``labels`` (None: unpainted) and the kept history ``record`` (None: none).
 
@@ -199,30 +222,32 @@ def paint_state(
     present = np.full(n_faces, UNLABELLED, np.int32) if labels is None else np.asarray(labels, np.int32)
     if len(present) != n_faces:
         raise ValueError(f"labels: wanted one for each of {n_faces} faces, got {len(present)}")
-    state = PaintState(present)
-    strokes = _strokes_of(record, n_faces)
-    done = int(record["done"]) if strokes and record is not None else 0
-    if strokes and 0 <= done <= len(strokes) and np.array_equal(np.asarray(record["labels"]), present):
-        state._strokes, state._done = strokes, done
+    state = PaintState(present, table)
+    found = _strokes_of(record, n_faces)
+    if found is not None and record is not None and np.array_equal(state.table.labels(found[0]), present):
+        paint, strokes = found
+        done = int(record["done"])
+        if 0 <= done <= len(strokes):
+            state._paint, state._strokes, state._done = paint.astype(np.int32), strokes, done
     return state
 
 
-def _strokes_of(record: Mapping[str, Any] | None, n_faces: int) -> list[Stroke]:
-    """The strokes of a kept history; none when it is not whole or not about a shape of ``n_faces`` faces."""
+def _strokes_of(record: Mapping[str, Any] | None, n_faces: int) -> tuple[np.ndarray, list[Stroke]] | None:
+    """Paint (F,) and strokes of a kept history; None when it is not whole or not about a shape of ``n_faces`` faces."""
     try:
         if record is None or record["version"] != HISTORY_VERSION:
-            return []
-        lengths = np.asarray(record["lengths"], np.int64)
+            return None
+        paint, lengths, when = (np.asarray(record[key], np.int64) for key in ("paint", "lengths", "when"))
         faces, before, after = (np.asarray(record[key]) for key in ("faces", "before", "after"))
         tools, names = list(record["tools"]), list(record["names"])
     except (KeyError, TypeError, ValueError):
-        return []
+        return None
     total = int(lengths.sum())
-    whole = len(faces) == len(before) == len(after) == total and len(tools) == len(names) == len(lengths)
-    if not whole or (total and (faces.min() < 0 or faces.max() >= n_faces)):
-        return []
+    whole = len(faces) == len(before) == len(after) == total and len(tools) == len(names) == len(lengths) == len(when)
+    if not whole or len(paint) != n_faces or (total and (faces.min() < 0 or faces.max() >= n_faces)):
+        return None
     stop = np.cumsum(lengths)
-    return [
-        Stroke(str(tools[i]), str(names[i]), faces[b - n : b], before[b - n : b], after[b - n : b])
+    return paint, [
+        Stroke(str(tools[i]), str(names[i]), faces[b - n : b], before[b - n : b], after[b - n : b], int(when[i]))
         for i, (n, b) in enumerate(zip(lengths, stop, strict=True))
     ]

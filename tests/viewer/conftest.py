@@ -11,8 +11,9 @@ import pytest
 
 from shapeforge import stages
 from shapeforge.collection.families import write_family
-from shapeforge.collection.labels import find_part_names, read_seg
+from shapeforge.collection.labels import PartNames, find_part_names, read_seg
 from shapeforge.store import Project
+from tests.viewer.paint_hands import Painting, hands_of
 
 COUNT, POINTS, ROUNDS = 8, 300, 2
 
@@ -77,6 +78,13 @@ def fitted(_fitted: Path, tmp_path: Path) -> Project:
     """A project of its own: exemplars labelled with the truth, fitted for two rounds."""
     shutil.copytree(_fitted, tmp_path / "chairs")
     return Project.open(tmp_path / "chairs")
+
+
+@pytest.fixture
+def painting(open_window: Callable, grouped: Project, qtbot) -> Painting:
+    """The Paint place on the first exemplar, with three parts and nothing painted."""
+    grouped.set_part_names(PartNames((1, 2, 3), ("back", "seat", "leg")))
+    return hands_of(open_window(grouped, "paint"), qtbot)
 
 
 @pytest.fixture

@@ -213,10 +213,9 @@ def test_dragging_a_ring_turns_about_its_axis(window, place, qtbot):
         if seen.ring_at(ends[0].x(), ends[0].y())[0] != axis:
             continue  # two rings cross here
         qtbot.mousePress(seen.view.plotter, LEFT, pos=ends[0])
-        from tests.viewer.test_paint_place import _move
 
         for end in ends[1:]:
-            _move(seen.view.plotter, end, LEFT, Qt.KeyboardModifier.NoModifier)
+            move(seen.view.plotter, end, LEFT, Qt.KeyboardModifier.NoModifier)
         qtbot.mouseRelease(seen.view.plotter, LEFT, pos=ends[-1])
         turned = np.array(window.session.turn)
         assert np.allclose(turned, about(axis, 30), atol=1e-6), AXES[axis]

@@ -8,7 +8,7 @@ from PySide6.QtCore import QPoint, Qt
 from scipy.spatial import cKDTree
 
 from shapeforge.viewer.brushes import face_surface, mirrored_faces, patch_of_faces, up_to_patch
-from tests.viewer.test_paint_place import Painting, painting  # noqa: F401
+from tests.viewer.paint_hands import Painting
 from tests.viewer.test_painting import sheet
 
 SHIFT = Qt.KeyboardModifier.ShiftModifier
@@ -41,7 +41,7 @@ def test_twins_of_faces_are_those_opposite_and_again_themselves():
     assert len(mirrored_faces(surface, faces, normal, 5.0)) == 0
 
 
-def test_a_lasso_paints_the_opposite_side_too(painting):  # noqa: F811
+def test_a_lasso_paints_the_opposite_side_too(painting):
     if painting.painter.mirror_plane is None:
         pytest.skip("this chair was generated without a mirror plane")
     painting.session.tool, painting.session.mirror = "lasso", True
@@ -61,7 +61,7 @@ def test_a_lasso_paints_the_opposite_side_too(painting):  # noqa: F811
     assert (painting.labels < 0).all()
 
 
-def test_t_lets_the_lasso_take_what_lies_behind(painting, qtbot):  # noqa: F811
+def test_t_lets_the_lasso_take_what_lies_behind(painting, qtbot):
     painting.session.tool = "lasso"
     corners = around(painting, painting.visible())
     painting.drag(*corners)
@@ -74,7 +74,7 @@ def test_t_lets_the_lasso_take_what_lies_behind(painting, qtbot):  # noqa: F811
     assert through.sum() > 1.3 * seen.sum() and not (seen & ~through).any()
 
 
-def test_the_fill_tool_stops_at_a_patch_when_told_to(painting, qtbot):  # noqa: F811
+def test_the_fill_tool_stops_at_a_patch_when_told_to(painting, qtbot):
     face = int(painting.visible()[0])
     painting.key(Qt.Key.Key_F)
     painting.key(Qt.Key.Key_F, SHIFT)
@@ -89,7 +89,7 @@ def test_the_fill_tool_stops_at_a_patch_when_told_to(painting, qtbot):  # noqa: 
     assert (patches[neighbour[border]] != patches[face]).all()
 
 
-def test_parts_are_hidden_and_shown_by_keys(painting, qtbot):  # noqa: F811
+def test_parts_are_hidden_and_shown_by_keys(painting, qtbot):
     table = painting.window.actions_table
     assert table.verdict("show_all_parts") == (False, "All parts are shown.")
     painting.session.tool = "piece"
@@ -107,7 +107,7 @@ def test_parts_are_hidden_and_shown_by_keys(painting, qtbot):  # noqa: F811
     assert len(painting.view.shown.views[0].layers[0].triangles) == count
 
 
-def test_a_large_painting_is_completed_beside_the_hand(painting, qtbot, monkeypatch):  # noqa: F811
+def test_a_large_painting_is_completed_beside_the_hand(painting, qtbot, monkeypatch):
     from shapeforge.viewer import completing
 
     monkeypatch.setattr(completing, "AT_ONCE", 0)
@@ -135,7 +135,7 @@ def test_a_large_painting_is_completed_beside_the_hand(painting, qtbot, monkeypa
     assert (painting.labels < 0).any()
 
 
-def test_parts_are_made_and_renamed_by_keys(painting, qtbot):  # noqa: F811
+def test_parts_are_made_and_renamed_by_keys(painting, qtbot):
     painting.key(Qt.Key.Key_N, SHIFT)
     assert painting.painter.part_names[-1] == "part 1" and painting.session.part == 3
     editor = painting.place.parts.rows[-1].editor

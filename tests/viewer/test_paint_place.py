@@ -8,75 +8,12 @@ from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtGui import QWheelEvent
 from PySide6.QtWidgets import QApplication
 
-from shapeforge.collection.labels import PartNames
 from shapeforge.store import Project
 from shapeforge.viewer.palette import part_colours
+from tests.viewer.paint_hands import Painting, move
 
 CONTROL, ALT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.AltModifier
 LEFT, RIGHT = Qt.MouseButton.LeftButton, Qt.MouseButton.RightButton
-
-
-class Painting:
-    """The Paint place of a window, with hands."""
-
-    def __init__(self, window, qtbot) -> None:
-        self.window, self.session, self.qtbot = window, window.session, qtbot
-        self.place = window.places["paint"]
-        self.view, self.painter = self.place.view, self.place.painter
-        self.target = self.view.plotter
-
-    @property
-    def labels(self) -> np.ndarray:
-        return self.painter.state.labels
-
-    def visible(self) -> np.ndarray:
-        """Some faces whose centre is seen and clear of other faces."""
-        seen: list[int] = []
-        for face in np.random.default_rng(0).permutation(self.painter.mesh.n_faces)[:400].tolist():
-            x, y = self.view.place_of(self.painter.surface.centres[face])
-            hit = self.view.pick(round(x), round(y))
-            if hit is not None and self.painter.face_of(hit.triangle) == face:
-                seen.append(face)
-        return np.array(seen)
-
-    def at(self, face: int) -> QPoint:
-        x, y = self.view.place_of(self.painter.surface.centres[face])
-        return QPoint(round(x), round(y))
-
-    def click(self, face: int, modifiers: Qt.KeyboardModifier = Qt.KeyboardModifier.NoModifier) -> None:
-        self.qtbot.mouseClick(self.target, LEFT, modifiers, self.at(face))
-
-    def drag(self, *places: QPoint, button=LEFT, modifiers=Qt.KeyboardModifier.NoModifier) -> None:
-        self.qtbot.mousePress(self.target, button, modifiers, places[0])
-        for place in places[1:]:
-            _move(self.target, place, button, modifiers)
-        self.qtbot.mouseRelease(self.target, button, modifiers, places[-1])
-
-    def key(self, key: Qt.Key, modifiers=Qt.KeyboardModifier.NoModifier) -> None:
-        self.qtbot.keyClick(self.place.centre, key, modifiers)
-
-
-def _move(target, place: QPoint, button, modifiers) -> None:
-    """A mouse move with a button held (QTest's own move forgets the modifiers)."""
-    from PySide6.QtCore import QEvent
-    from PySide6.QtGui import QMouseEvent
-
-    at = QPointF(place)
-    event = QMouseEvent(
-        QEvent.Type.MouseMove, at, QPointF(target.mapToGlobal(place)), Qt.MouseButton.NoButton, button, modifiers
-    )
-    QApplication.sendEvent(target, event)
-
-
-@pytest.fixture
-def painting(open_window, grouped, qtbot):
-    grouped.set_part_names(PartNames((1, 2, 3), ("back", "seat", "leg")))
-    window = open_window(grouped, "paint")
-    hands = Painting(window, qtbot)
-    qtbot.waitUntil(lambda: hands.view.frames > 0, timeout=10000)
-    window.activateWindow()
-    hands.place.centre.setFocus()
-    return hands
 
 
 def test_the_first_exemplar_is_opened_and_nothing_is_painted(painting):
@@ -185,7 +122,7 @@ def test_the_ring_moves_without_drawing_the_shape_again(painting, qtbot):
     frames = painting.view.frames
     seen = painting.visible()
     for face in seen[:: max(len(seen) // 10, 1)]:
-        _move(painting.target, painting.at(int(face)), Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier)
+        move(painting.target, painting.at(int(face)), Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier)
         qtbot.wait(10)
     assert any(mark.kind == "brush" for mark in painting.view.shown.views[0].marks)
     assert painting.view.frames == frames
@@ -262,7 +199,7 @@ def test_a_save_during_a_drag_does_not_cut_the_stroke(painting, qtbot):
     a, b = painting.at(int(seen[0])), painting.at(int(seen[-1]))
     qtbot.mousePress(painting.target, LEFT, Qt.KeyboardModifier.NoModifier, a)
     qtbot.wait(1000)
-    _move(painting.target, b, LEFT, Qt.KeyboardModifier.NoModifier)
+    move(painting.target, b, LEFT, Qt.KeyboardModifier.NoModifier)
     qtbot.mouseRelease(painting.target, LEFT, Qt.KeyboardModifier.NoModifier, b)
     assert len(painting.painter.state.strokes) == 1
 
@@ -331,10 +268,10 @@ def test_parts_are_added_renamed_and_merged(painting, qtbot):
     assert (painting.labels == 3).any()
     was = painting.labels == 3
     painting.session.part = 0
-    assert not place.parts.merge.isEnabled()
-    place.parts.select_second(3)
-    assert place.parts.merge.isEnabled()
-    place.parts.merged(0, 3)
+    assert not place.parts.merge.isEnabled() and "Ctrl-click" in place.parts.merge.toolTip()
+    qtbot.mouseClick(place.parts.rows[3], LEFT, CONTROL)
+    assert place.parts.second == 3
+    qtbot.mouseClick(place.parts.merge, LEFT)
     assert project.part_names.names == ("back", "seat", "leg") and np.array_equal(painting.labels == 0, was)
     assert np.array_equal(project.labels(painting.session.shape), painting.labels)
 

@@ -22,6 +22,9 @@ from shapeforge.viewer.brushes import (
     whole_piece,
 )  # fmt: skip
 from shapeforge.viewer.painting import PaintState, paint_state
+from shapeforge.viewer.part_table import plain_table
+
+FOUR = plain_table(4)
 
 
 def quads(vertices: np.ndarray, faces: list[tuple[int, ...]]) -> Mesh:
@@ -69,7 +72,7 @@ edits = st.lists(
 @settings(deadline=None)
 @given(start=st.lists(st.integers(-1, 3), min_size=20, max_size=20), steps=edits)
 def test_undoing_everything_gives_back_the_start_and_redoing_everything_the_end(start, steps):
-    state = PaintState(np.array(start, np.int32))
+    state = PaintState(np.array(start, np.int32), FOUR)
     for kind, faces, part in steps:
         if kind == "stroke":
             state.begin("brush", "x")
@@ -94,31 +97,31 @@ def test_undoing_everything_gives_back_the_start_and_redoing_everything_the_end(
 @settings(deadline=None)
 @given(steps=edits, back=st.integers(0, 5))
 def test_a_kept_history_comes_back_as_it_was(steps, back):
-    state = PaintState(np.full(20, -1, np.int32))
+    state = PaintState(np.full(20, -1, np.int32), FOUR)
     for kind, faces, part in steps:
         if kind == "stroke":
             state.stroke("fill", "x", np.unique(faces).astype(int), part)
     state.go_to(state.done - back)
-    again = paint_state(20, state.labels, state.to_record())
+    again = paint_state(20, state.labels, state.to_record(), FOUR)
     assert again.done == state.done and len(again.strokes) == len(state.strokes)
     for count in range(len(state.strokes) + 1):
         assert np.array_equal(again.labels_after(count), state.labels_after(count))
 
 
 def test_a_history_of_other_labels_is_left_out():
-    state = PaintState(np.full(6, -1, np.int32))
+    state = PaintState(np.full(6, -1, np.int32), FOUR)
     state.stroke("brush", "back", np.array([1, 2]), 0)
     record = state.to_record()
-    assert paint_state(6, np.full(6, 2, np.int32), record).undo_label is None
-    assert paint_state(6, state.labels, record).undo_label == "back"
+    assert paint_state(6, np.full(6, 2, np.int32), record, FOUR).undo_label is None
+    assert paint_state(6, state.labels, record, FOUR).undo_label == "back"
     damaged = {**record, "faces": record["faces"][:1]}
-    assert paint_state(6, state.labels, damaged).undo_label is None
+    assert paint_state(6, state.labels, damaged, FOUR).undo_label is None
     outside = {**record, "faces": record["faces"] + 100}
-    assert paint_state(6, state.labels, outside).undo_label is None
+    assert paint_state(6, state.labels, outside, FOUR).undo_label is None
 
 
 def test_one_drag_is_one_item_and_an_empty_one_none():
-    state = PaintState(np.full(9, -1, np.int32))
+    state = PaintState(np.full(9, -1, np.int32), FOUR)
     state.begin("brush", "seat")
     assert state.paint(np.array([0, 1]), 1).tolist() == [0, 1]
     assert state.paint(np.array([1, 2]), 1).tolist() == [2]
@@ -133,18 +136,25 @@ def test_one_drag_is_one_item_and_an_empty_one_none():
 
 
 def test_labels_cannot_be_written_behind_the_history():
-    state = PaintState(np.zeros(3, np.int32))
+    state = PaintState(np.zeros(3, np.int32), FOUR)
     with pytest.raises(ValueError, match="read-only"):
         state.labels[0] = 5
 
 
-def test_parts_renumbered_through_the_history():
-    state = PaintState(np.array([-1, 0, 1, 2], np.int32))
+def test_parts_joined_and_removed_count_so_through_the_history():
+    state = PaintState(np.array([-1, 0, 1, 2], np.int32), FOUR)
     state.stroke("brush", "x", np.array([0]), 2)
-    state.rename_parts({2: 0})
+    state.set_table(FOUR.without(2, kept=0))
     assert state.labels.tolist() == [0, 0, 1, 0]
     state.undo()
     assert state.labels.tolist() == [-1, 0, 1, 0]
+    state.redo()
+    state.stroke("brush", "x", np.array([2]), 0)  # painted as the part that is left: that it stays
+    state.set_table(FOUR)
+    assert state.labels.tolist() == [2, 0, 0, 2]
+    state.set_table(FOUR.without(0))
+    assert state.labels.tolist() == [1, -1, -1, 1]
+    assert state.labels_after(0).tolist() == [-1, -1, 0, 1]
 
 
 def test_the_brush_goes_along_the_surface_and_through_goes_through():

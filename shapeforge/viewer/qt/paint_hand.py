@@ -31,10 +31,9 @@ class PaintHand:
         view: View3D,
         painter: Painter,
         ended: Callable[[], None],
-        parts_made: Callable[[], None],
     ) -> None:
         self.session, self.view, self.painter = session, view, painter
-        self.ended, self.parts_made = ended, parts_made
+        self.ended = ended
         self.note: np.ndarray | None = None
         self._last_place = (0.0, 0.0)
         self._lasso: list[tuple[float, float]] | None = None
@@ -56,10 +55,7 @@ class PaintHand:
                     session.say(f"Painting with {self.painter.part_names[part]}")
                 session.tool = "brush"
             return
-        had_parts = len(self.painter.part_names)
         self.painter.begin(erase=bool(modifiers & Qt.KeyboardModifier.ControlModifier))
-        if len(self.painter.part_names) != had_parts:
-            self.parts_made()
         if session.tool == "lasso":
             self._lasso = [self.view.pointer]
         elif pick is not None:

@@ -60,11 +60,14 @@ class PaintPlace:
     def __init__(self, session: Session, actions: Actions, view_factory: Callable[[], QWidget]) -> None:
         self.session, self.actions = session, actions
         self.painter = Painter(session)
+        self.painter.parts_changed = self._parts_changed
+        self.painter.run = lambda make: actions.desk.start("cosegment", make)
         self.binding = Binding(session)
         self.thumbnails = Thumbnails(session)
         self._view_factory = view_factory
         self._entered = False
         self._pieces: list[np.ndarray] = []
+        self._strokes_at = [0]
         self._next = 0
         self._count: int | None = None
         self._old_history = session.history
@@ -84,6 +87,7 @@ class PaintPlace:
         self.binding.on(("part",), self.parts.show_chosen, now=False)
         self.binding.on(("brush_size", "reach", "fill_to"), self.brush.show_brush, now=False)
         self.binding.on(("fill_to", "reach"), self._show_tool, now=False)
+        self.binding.on(("data",), self._follow, now=False)
         self.binding.on(("data", "running"), self._show_next, now=False)
 
     # ---- building ------------------------------------------------------------------------------------------------
@@ -104,13 +108,6 @@ class PaintPlace:
             add(f"part_{number}", f"Part {number}", lambda n=number: self._take_part(n - 1), str(number))
         add("mirror", "Mirror", self._toggle_mirror, "M", "Paint the opposite side too", "mirror", self._can_mirror)
         add("isolate", "Isolate", self._toggle_isolate, "H", "Show only the current part and what is unpainted", "eye")
-        add("hide_part", "Hide the part", lambda: self._hide(self.session.part), "Shift+H",
-            "Hide the current part, or show it again", "eye_off", self._can_hide)  # fmt: skip
-        add("new_part", "New part", lambda: self.parts.new_part(), "Shift+N", "Add a part to the family", "plus")
-        add("rename_part", "Rename the part", lambda: self.parts.rows[self.session.part].rename(), "F2",
-            "Give the current part another name", "", self._can_hide)  # fmt: skip
-        add("show_all_parts", "Show all parts", self._show_all_parts, "Ctrl+Shift+H", "Open every part's eye", "",
-            self._can_show_all)  # fmt: skip
         add("reach", "Surface or through", lambda: self._toggle("reach", "surface", "through"), "T",
             "Brush and lasso take what is seen, or what lies behind, too")  # fmt: skip
         add("fill_to", "Fill to creases or patch", lambda: self._toggle("fill_to", "creases", "patch"), "Shift+F",
@@ -138,7 +135,7 @@ class PaintPlace:
         self.tools.chosen.connect(lambda tool: self.actions.run(f"tool_{tool}"))
         self.tools.mirror_toggled.connect(lambda: self.actions.run("mirror"))
         self.view = self._view_factory()
-        self.hand = PaintHand(self.session, self.view, self.painter, self._stroke_ended, self._show_parts)
+        self.hand = PaintHand(self.session, self.view, self.painter, self._stroke_ended)
         self.view.size_wheel.connect(self._resize)
         self.shares = ShareBar(6)
         self.blank = label("", "strong")
@@ -190,7 +187,9 @@ class PaintPlace:
         )
 
     def _build_inspector(self) -> None:
-        self.parts = PartsPalette(self.session, self.painter, self._changed_view, self._show_counts)
+        self.parts = PartsPalette(
+            self.session, self.painter, self.actions, self.binding, self._changed_view, self._show_counts
+        )
         self.brush = BrushSection(self.session, self.actions)
         self.next = NextSection(self.session, self.actions, self.binding)
         scribble = scribble_section(self.actions, self.binding)
@@ -208,7 +207,7 @@ class PaintPlace:
             groups = self.session.project.groups
             first = self.session.project.names[0 if groups is None else int(groups.exemplars[0])]
             self.session.shape = next_to_paint(self.session) or first  # opens it
-        if self.painter.name != self.session.shape or self.session.history is not self.painter.state:
+        if self.painter.name != self.session.shape or self.session.history is not self.painter.history:
             self._open()
         self._show_tool()
         self._show_next()
@@ -236,17 +235,39 @@ class PaintPlace:
         self._save()
         self.completion.forget()
         self.painter.open(name)
+        self._show_shape()
+        self.brush.show_mirror(self.painter)
+        self.view.display(Display((self.painter.view(),)), fit=True)
+        self.brush.show_brush()
+
+    def _show_shape(self) -> None:
+        """The painter has another painting: its parts, shares and history."""
         self.painter.state.changed = self._changed
-        self.session.history = self.painter.state
+        self.session.history = self.painter.history
         self.parts.second, self.hand.note, self._next = None, None, 0
         if self.session.part >= max(len(self.painter.part_names), 1):
             self.session.part = 0
-        self._show_parts()
-        self.brush.show_mirror(self.painter)
-        self.view.display(Display((self.painter.view(),)), fit=True)
+        self.parts.show_parts()
         self._show_counts()
         self._show_history()
-        self.brush.show_brush()
+
+    def _follow(self) -> None:
+        """Somebody else changed the parts, or the labels of this shape: take them as they are now."""
+        if self._entered and self.painter.name == self.session.shape and self.painter.is_outdated:
+            self.completion.forget()
+            self.painter.read(self.painter.name)
+            self._show_shape()
+            self._changed_view()
+
+    def _parts_changed(self) -> None:
+        """New, renamed, recoloured, merged, removed, or any of it undone."""
+        if not self._entered:
+            return
+        self.parts.second = None
+        self.parts.show_parts()
+        self._changed_view()
+        self._show_tool()
+        self.session.touch("labels")
 
     # ---- doing ---------------------------------------------------------------------------------------------------
 
@@ -293,12 +314,12 @@ class PaintPlace:
             self.session.say(f"Not saved yet: {error}", "error")
             self._save_timer.start(5 * SAVE_MS)
             return
-        self.history.saved.setText("✓ saved" if self.painter.state.strokes else "")
+        self.history.saved.setText("✓ saved" if self.painter.history.steps() else "")
         if wrote:
             self.session.touch("labels")
 
     def _go_to(self, count: int) -> None:
-        self.painter.state.go_to(count)
+        self.painter.history.go_to(count)
         self.session.edit_count += 1
         self._show_history()
 
@@ -324,30 +345,11 @@ class PaintPlace:
     def _toggle(self, field: str, first: str, second: str) -> None:
         setattr(self.session, field, second if getattr(self.session, field) == first else first)
 
-    def _can_hide(self, session: Session) -> tuple[bool, str]:
-        names = () if session.project is None else self.painter.part_names
-        return YES if session.part < len(names) else (False, "There is no part yet: add one first.")
-
-    def _hide(self, part: int) -> None:
-        self.parts.hide_part(part)
-        self.session.edit_count += 1  # what can be done depends on it
-
-    def _can_show_all(self, _session: Session) -> tuple[bool, str]:
-        return YES if self.painter.hidden or self.painter.isolated else (False, "All parts are shown.")
-
-    def _show_all_parts(self) -> None:
-        self.painter.hidden, self.painter.isolated = frozenset(), False
-        self.isolate.setChecked(False)
-        self.parts.show_parts()
-        self._changed_view()
-        self.session.edit_count += 1
-
     def _toggle_mirror(self) -> None:
         self.session.mirror = not self.session.mirror
 
     def _toggle_isolate(self) -> None:
         self.painter.isolated = not self.painter.isolated
-        self.isolate.setChecked(self.painter.isolated)
         self._changed_view()
 
     def _show_edges(self, value: str) -> None:
@@ -355,6 +357,7 @@ class PaintPlace:
         self._changed_view()
 
     def _changed_view(self) -> None:
+        self.isolate.setChecked(self.painter.isolated)
         if self.painter.name is not None:
             self.view.display(Display((self.painter.view(),)))
 
@@ -419,21 +422,20 @@ class PaintPlace:
             self.session.edit_count += 1  # what can be done depends on it
 
     def _show_history(self) -> None:
-        state = self.painter.state
         if self.painter.name is None:
             return
-        states = [("Start", "")] + [
-            (s.label, s.tool if s.tool in TOOL_KEYS else "scribble") for s in state.strokes
-        ]  # fmt: skip
-        self.history.caption.setText(f"{len(state.strokes)} step{'s' * (len(state.strokes) != 1)}")
-        self.history.show_states(states, state.done, self._picture)
+        steps = self.painter.history.steps()
+        states = [("Start", "")] + [(text, "scribble" if icon == "complete" else icon) for text, icon, _ in steps]
+        self._strokes_at = [0, *(strokes for *_, strokes in steps)]
+        self.history.caption.setText(f"{len(steps)} step{'s' * (len(steps) != 1)}")
+        self.history.show_states(states, self.painter.history.done, self._picture)
         refresh(self.history, self.session.theme)
 
     def _show_pictures(self) -> None:
-        self.history.refresh_pictures(self._picture, self.painter.state.done)
+        self.history.refresh_pictures(self._picture, self.painter.history.done)
 
-    def _picture(self, count: int) -> QPixmap | None:
-        labels = self.painter.state.labels_after(count)
+    def _picture(self, step: int) -> QPixmap | None:
+        labels = self.painter.state.labels_after(self._strokes_at[step])
         inks, mesh, theme = self.session.project.part_inks(), self.painter.mesh, self.session.theme
 
         def take() -> np.ndarray:
@@ -470,6 +472,3 @@ class PaintPlace:
     def _show_next(self) -> None:
         if self.session.project is not None:
             self.next.show_next(self._can_fit(self.session), self.painter.name)
-
-    def _show_parts(self) -> None:
-        self.parts.show_parts()

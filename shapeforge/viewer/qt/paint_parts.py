@@ -10,6 +10,7 @@ from PySide6.QtGui import QColor, QPainter, QPen, QPixmap
 from PySide6.QtWidgets import QAbstractButton, QApplication, QFrame, QHBoxLayout, QVBoxLayout, QWidget
 
 from shapeforge.viewer.painter import TOOL_NAMES
+from shapeforge.viewer.qt.colour_choice import ColourButton
 from shapeforge.viewer.qt.icons import pixmap, set_icon
 from shapeforge.viewer.qt.theme import colours, font
 from shapeforge.viewer.qt.widgets import (
@@ -17,7 +18,6 @@ from shapeforge.viewer.qt.widgets import (
     EditableName,
     ElidedLabel,
     Picture,
-    Swatch,
     button,
     clear,
     column,
@@ -82,6 +82,7 @@ class PartRow(Clickable):
     eye_clicked = Signal()
     renamed = Signal(str)
     ctrl_clicked = Signal()
+    colour_clicked = Signal()
 
     def __init__(self, name: str, colour: str, key: str) -> None:
         # Made before QFrame's own start because the layout is its argument; signals are tied after it.
@@ -93,15 +94,17 @@ class PartRow(Clickable):
         self.eye.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.bar = ShareBar(3)
         self.colour = colour
-        top = row(Swatch(colour, size=16), 2, self.name, None, self.share, self.eye, spacing=6)
+        self.swatch = ColourButton(colour, f"Colour of {name}  (Shift+C)", side=18)
+        top = row(self.swatch, 2, self.name, None, self.share, self.eye, spacing=6)
         if key:
             top.addWidget(label(key, "keycap"))
         below = row(self.bar, margins=(26, 0, 0, 0))
         super().__init__(column(top, below, spacing=3, margins=(8, 4, 8, 5)), "row")
         self.eye.clicked.connect(self.eye_clicked)
+        self.swatch.clicked.connect(self.colour_clicked)
         self.name.renamed.connect(self.renamed)
         self.setFixedHeight(38)
-        self.setToolTip("Click to paint with it, Ctrl-click to select a second, double-click to rename")
+        self.setToolTip("Click to paint with it, double-click to rename, Ctrl-click to select a second")
         self.double_clicked.connect(self.rename)
 
     def mouseReleaseEvent(self, event: object) -> None:

@@ -117,6 +117,7 @@ QFrame#card[current="true"] {{ border-color: {accent}; background: {accent_groun
 QFrame#card:hover {{ border-color: {separator_strong}; }}
 QFrame#card[current="true"]:hover {{ border-color: {accent}; }}
 QFrame#note {{ background: {control}; border: 1px solid {separator_strong}; border-radius: {radius}px; }}
+QFrame#sheet {{ background: {panel}; border: 1px solid {separator_strong}; }}
 QFrame#preview {{ background: {view}; border-radius: {radius}px; }}
 QFrame#row {{ background: transparent; border-radius: {radius}px; }}
 QFrame#row:hover {{ background: {control}; }}
