@@ -198,10 +198,15 @@ def fit(
     seed: Seed = None,
     jobs: Jobs = None,
     restart: Restart = False,
+    warm: Annotated[
+        bool, typer.Option("--warm", help="Go on from the present fit; only shapes painted otherwise are found anew.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Fit templates, correspondences and segmentations to all shapes, then the high-level templates."""
-    run_stage(path, "fit", as_json, jobs=jobs, restart=restart, rounds=rounds, inner=inner, seed=seed)
+    run_stage(
+        path, "fit", as_json, jobs=jobs, restart=restart, rounds=rounds, inner=inner, seed=seed, warm=warm or None
+    )
 
 
 @app.command()

@@ -33,10 +33,10 @@ def follow(project: Any, steps: Iterator[Any], what: str) -> Any:
                     bar.console.print(f"  {latest.message}", markup=False)
                 left = f", {spoken(latest.seconds_left)} left" if (latest.seconds_left or 0) >= 2 else ""
                 bar.update(
-                    line, completed=latest.step, total=max(latest.of, 1), stage=latest.stage, phase=latest.phase,
-                    description=escaped(latest.message + left),
+                    line, completed=latest.step + latest.within, total=max(latest.of, 1), stage=latest.stage,
+                    phase=latest.phase, description=escaped(latest.message + left),
                 )  # fmt: skip
-                if latest.phase in ("stale", "partial"):
+                if latest.phase in ("stale", "partial", "start") or latest.within:
                     continue
                 if not console.is_terminal and latest.stage in ("fit", "refine") and latest.phase != "faces":
                     console.print(f"  {latest.message}", markup=False)

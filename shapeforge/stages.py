@@ -49,7 +49,7 @@ class Progress:
     """Where a stage is: ``step`` of ``of`` in a phase, what it just did, seconds left (None: unknown).
 
     ``state`` is the algorithm's own last state (FitState, GroupState, LearnState, …) where there is one; ``problem``
-    a file that was skipped or is doubtful.
+    a file that was skipped or is doubtful; ``within`` (0..1) how much is done of the next step.
     """
 
     stage: str
@@ -60,6 +60,12 @@ class Progress:
     seconds_left: float | None = None
     state: Any = None
     problem: Problem | None = None
+    within: float = 0.0
+
+    @property
+    def share(self) -> float:
+        """How much of the phase is done (0..1)."""
+        return min((self.step + self.within) / self.of, 1.0) if self.of > 0 else 0.0
 
 
 @dataclass
@@ -87,7 +93,7 @@ class Task:
             self._started, self._phase, self._first = now, phase, step
         done = step - self._first
         left = (now - self._started) / done * (of - step) if done > 0 else None
-        return Progress(self.stage, phase, step, of, message, left, **more)
+        return Progress(self.stage, phase, step, of, message, more.pop("seconds_left", left), **more)
 
     @property
     def folder(self) -> Any:
@@ -166,6 +172,8 @@ def _run_one(
         arguments = record.get("arguments", arguments)  # go on with what the killed run was given
     options = options_of(stage, record, given)
     inputs = inputs_of(project, stage)
+    if "warm" in options and "warm" not in given and record and record.get("inputs") != inputs:
+        options["warm"] = False  # the last run was taken up again; whether this one is has to be said anew
     key = key_of(stage, REVISION, options, inputs)
     always = stage in ARGUMENTS  # these look at files outside the project, so they always look
     lost = _lost_output(stage, record) or lost_results(project, stage, record)

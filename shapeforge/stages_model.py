@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,9 @@ import numpy as np
 
 from shapeforge.stages import Progress, StageError, Task
 from shapeforge.stages_collection import read_proposal
+from shapeforge.stages_status import starts_from_proposal
 from shapeforge.store import Project
-from shapeforge.store_arrays import read_record, write_record
+from shapeforge.store_arrays import copy_file, read_record, write_record, write_text
 from shapeforge.store_results import write_names, write_round
 
 SECONDS_BETWEEN_CHECKPOINTS = 20.0
@@ -26,25 +27,55 @@ ROUNDS_PER_ALTERNATION = 2
 
 def fit(task: Task) -> Iterator[Progress]:
     """Templates, correspondences, segmentations (a checkpoint a round), then the high-level templates and faces."""
-    from shapeforge.deformation.fit import fit_templates
+    from shapeforge.deformation.fit import Within, fit_templates
+    from shapeforge.deformation.warm import refit_templates
+    from shapeforge.stages_pace import Pace
 
     project, folder = task.project, task.folder
+    checkpoint, went_warm = folder / "checkpoint.zarr.zip", folder / "warm.json"
+    state = read_record(checkpoint)[0] if checkpoint.is_file() else None
+    start, reason = None, ""
+    if state is not None:
+        start = state if went_warm.is_file() else None
+    elif task.options["warm"]:
+        start, reason = warm_start(project)
+        if start is None:
+            yield task.progress("fit", 0, 1, f"starts anew: {reason}")
     labels, part_names, seeds = starting_parts(project)
     write_names(folder / "names.zarr.zip", project.names)
-    checkpoint = folder / "checkpoint.zarr.zip"
-    state = read_record(checkpoint)[0] if checkpoint.is_file() else None
     if state is None or state.stop_reason is None:
         options, rng = task.options, np.random.default_rng(task.options["seed"])
-        states = fit_templates(
-            project.shapes, starting_groups(project), labels, part_names, rounds=options["rounds"],
-            inner=options["inner"], rng=rng, executor=task.workers, seeds=seeds, resume=state,
-        )  # fmt: skip
+        known = (project.shapes, starting_groups(project), labels, part_names)
+        more = {"inner": options["inner"], "rng": rng, "executor": task.workers, "seeds": seeds}
         if state is not None:
             yield task.progress("fit", state.round, state.of, f"goes on after round {state.round}", state=state)
-        for state in states:
+        elif start is not None:
+            keep_rounds(project, folder)
+            write_text(went_warm, "{}")
+            yield task.progress("fit", start.round, start.round + 1, "finding the corrected shapes anew", state=start)
+        steps = (
+            fit_templates(*known, rounds=options["rounds"], resume=state, within=True, **more)
+            if start is None
+            else refit_templates(start, *known, within=True, **more)
+        )
+        pace = None if state is None and start is None else Pace((state or start).round)
+        for step in steps:
+            if isinstance(step, Within):
+                known = state if state is not None else start
+                which, share = f"shape {step.shape} of {step.of_shapes}", step.shape / step.of_shapes
+                if pace is None or known is None:
+                    yield task.progress("start", step.shape, step.of_shapes, f"affine start, {which}")
+                    continue
+                left = pace.left(_costs(known, step.of, options), step.round - 1 + share)
+                message = f"round {step.round}, {which}"
+                yield task.progress("fit", step.round - 1, step.of, message, within=share, seconds_left=left)
+                continue
+            state = step
+            pace = pace or Pace(state.round)
             write_record(checkpoint, state)
             write_round(folder / "rounds" / f"{state.round:03d}.zarr.zip", state)
-            yield task.progress("fit", state.round, state.of, _round_text(state), state=state)
+            left = pace.left(_costs(state, state.of, options), float(state.round))
+            yield task.progress("fit", state.round, state.of, _round_text(state), state=state, seconds_left=left)
     if state is None:
         raise StageError("the fit made no round; wanted rounds of at least 1")
     yield task.progress("hierarchy", 0, 1, "linking the groups' templates", state=state)
@@ -56,18 +87,53 @@ def fit(task: Task) -> Iterator[Progress]:
     text = f"{state.round} rounds, {len(hierarchy.top.label)} corresponding points"
     task.summary |= {
         "text": text, "rounds": state.round, "energy": _number(state.energy), "stop_reason": state.stop_reason,
-        "points": len(hierarchy.top.label), "parts": list(part_names),
+        "points": len(hierarchy.top.label), "parts": list(part_names), "shapes": list(project.names),
+        "painted": {name: project.label_key(name) for name in project.labelled},
+        "exemplars": [template.source for template in state.templates if template.source],
     }  # fmt: skip
     yield task.progress("faces", len(project.names), len(project.names), text, state=state)
 
 
+def _costs(state: Any, of: int, options: Mapping[str, Any]) -> list[float]:
+    """What the rounds of a fit cost that is at ``state``."""
+    from shapeforge.deformation.fit import exemplar_rounds
+    from shapeforge.stages_pace import round_costs
+
+    first = state.family_from if state.family_from >= 0 else exemplar_rounds(options["rounds"])
+    return round_costs(of, len(state.templates) - (state.family is not None), first, len(state.candidates))
+
+
+def warm_start(project: Project) -> tuple[Any | None, str]:
+    """The state of the present fit, to be taken up again with other paint; else None and why it cannot be."""
+    from shapeforge.deformation.warm import why_not_warm
+
+    folder = project.current_folder("fit")
+    if folder is None or not (folder / "fit.zarr.zip").is_file():
+        return None, "There is no finished fit."
+    if tuple(read_record(folder / "names.zarr.zip")[0]["names"]) != project.names:
+        return None, "There are other shapes than in the fit."
+    state = read_record(folder / "fit.zarr.zip")[0]
+    try:
+        labels, part_names, _ = starting_parts(project)
+    except StageError as error:
+        return None, str(error)
+    reason = why_not_warm(state, project.shapes, starting_groups(project), labels, part_names)
+    return (None, reason) if reason else (state, "")
+
+
+def keep_rounds(project: Project, folder: Path) -> None:
+    """The rounds recorded so far are the first of those of a fit that takes the present one up again."""
+    before = project.current_folder("fit")
+    for file in sorted((before / "rounds").glob("*.zarr.zip")) if before is not None else ():
+        copy_file(file, folder / "rounds" / file.name)
+
+
 def starting_parts(project: Project) -> tuple[dict[int, np.ndarray], tuple[str, ...], Sequence[np.ndarray] | None]:
-    """Labels by shape index, part names, and proposed label probabilities per point where no labels were given."""
+    """Labels by shape index, part names, and proposed label probabilities per point where no exemplar has labels."""
     labels = {t: project.labels(name) for t, name in enumerate(project.names) if project.label_key(name)}
-    seeds = None
-    proposal = read_proposal(project)
-    if not labels and proposal is not None:
-        return {}, tuple(proposal.part_names), proposal.segmentation
+    proposal = read_proposal(project) if starts_from_proposal(project) else None
+    if proposal is not None:
+        return labels, tuple(proposal.part_names), proposal.segmentation
     names = project.part_names.names if project.part_names else ()
     groups = project.groups
     if groups is not None and not any(int(t) in labels for t in groups.exemplars):
@@ -76,12 +142,12 @@ def starting_parts(project: Project) -> tuple[dict[int, np.ndarray], tuple[str, 
             f"no exemplar has labels: label at least one of {wanted}, or make a labelled shape an exemplar: "
             f"shapeforge group {project.path} --exemplars NAME"
         )
-    return labels, tuple(names), seeds
+    return labels, tuple(names), None
 
 
 def starting_groups(project: Project) -> Any:
-    """The groups that the fit starts from: without labels, the exemplars are those that came with the first parts."""
-    proposal = None if project.labelled else read_proposal(project)
+    """The groups that the fit starts from: those of proposed parts have the exemplars that came with them."""
+    proposal = read_proposal(project) if starts_from_proposal(project) else None
     if proposal is None or project.groups is None:
         return project.groups
     return replace(project.groups, exemplars=proposal.exemplars)

@@ -18,7 +18,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     "group": {"exemplars": None, "seed": 0},
     "label": {},
     "cosegment": {"parts": None, "seed": 0, "edits": []},
-    "fit": {"rounds": 10, "inner": 3, "seed": 0},
+    "fit": {"rounds": 10, "inner": 3, "seed": 0, "warm": False},
     "learn": {"epochs": None, "seed": 0},
     "refine": {"alternations": 3, "seed": 0},
     "synthesize": {"count": 20, "temperature": 1.0, "format": "glb", "out": None, "seed": 0},
@@ -89,13 +89,54 @@ def inputs_of(project: Project, stage: str) -> dict[str, Any]:
     if stage == "cosegment":
         return {"shapes": shapes, "groups": project.groups_key}
     if stage == "fit":
-        start = {"labels": key_of(labels, parts)} if labels else {"first parts": result_of("cosegment")}
+        start = {"labels": key_of(labels, parts)} if labels else {}
+        if not labels or starts_from_proposal(project):
+            start["first parts"] = result_of("cosegment")
         return {"shapes": shapes, "groups": project.groups_key, **start}
     if stage == "learn":
         return {"fit": result_of("fit")}
     if stage == "refine":
         return {"fit": result_of("fit"), "machine": result_of("learn")}
     return {"fit": project.fit_id, "machine": project.machine_id}
+
+
+def starts_from_proposal(project: Project) -> bool:
+    """Whether a fit starts from proposed parts: no exemplar is labelled, and labels on other shapes are of these parts.
+
+    Such labels are corrections: evidence on their shapes.
+    """
+    record = project.stage_record("cosegment") or {}
+    if not record.get("result"):
+        return False
+    labelled, groups = set(project.labelled), project.groups
+    if not labelled or groups is None:
+        return not labelled
+    names = list(project.part_names.names) if project.part_names is not None else []
+    proposed = (record.get("summary") or {}).get("part_names")
+    return names == proposed and not any(project.names[t] in labelled for t in groups.exemplars)
+
+
+def corrections(project: Project) -> tuple[tuple[str, ...], str]:
+    """Names of the shapes painted otherwise since the fit, and why it cannot be taken up again with them ("": it can).
+
+    By what is written down of the fit; ``stages_model.warm_start`` looks at the fit itself.
+    """
+    summary = (project.stage_record("fit") or {}).get("summary") or {}
+    if project.current_folder("fit") is None or "painted" not in summary:
+        return (), "There is no finished fit."
+    before = summary["painted"]
+    changed = tuple(name for name in project.names if before.get(name) != project.label_key(name))
+    if not changed:
+        return (), "Nothing was painted since the fit."
+    if sorted(summary["shapes"]) != sorted(project.names):
+        return changed, "There are other shapes than in the fit."
+    names = project.part_names.names if project.part_names is not None else ()
+    if list(names) != summary["parts"]:
+        return changed, "The parts are others than in the fit."
+    repainted = [name for name in summary["exemplars"] if name in changed]
+    if repainted:
+        return changed, f"{repainted[0]} is an exemplar: its paint makes the templates."
+    return changed, ""
 
 
 def difference(record: Mapping[str, Any], options: Mapping[str, Any], inputs: Mapping[str, Any]) -> str:

@@ -17,10 +17,13 @@ import pytest
 from shapeforge import stages
 from shapeforge.collection.families import write_family
 from shapeforge.collection.iterate import last
+from shapeforge.collection.labels import read_seg
 from shapeforge.deformation.hierarchy import Link
+from shapeforge.deformation.warm import WARM_ROUNDS
 from shapeforge.stages import Progress, StageError, next_step, run, status
 from shapeforge.stages_collection import edits_of, merged_part_names
 from shapeforge.stages_model import on_template, starting_groups, starting_parts
+from shapeforge.stages_status import corrections
 from shapeforge.store import PartNames, Project
 from shapeforge.workers import Workers
 
@@ -185,7 +188,7 @@ def test_other_points_prepare_all_shapes_again(grouped: Project, tmp_path: Path)
 def test_unknown_names_are_refused_at_once(grouped: Project) -> None:
     with pytest.raises(StageError, match="wanted one of import, group"):
         run(grouped, "paint")
-    with pytest.raises(StageError, match="'speed': fit has rounds, inner, seed"):
+    with pytest.raises(StageError, match="'speed': fit has rounds, inner, seed, warm"):
         run(grouped, "fit", speed=9)
 
 
@@ -390,3 +393,73 @@ def test_proposed_parts_are_put_right_without_being_sought_again(tmp_path: Path,
     assert states(project)["cosegment"] == "done"
     last(run(project, "cosegment", parts=3))  # other parts: the edits were about those before
     assert edits_of(project) == [] and project.part_names.names == ("part 1", "part 2", "part 3")
+
+
+# -- a fit taken up again --------------------------------------------------------------------------------------------
+
+
+def paint_some(project: Project, family: Path, name: str) -> None:
+    """A few faces of a shape, as the truth has them."""
+    faces = read_seg(family / f"{name}.seg", project.shape_record(name)["n_faces"], project.part_names)
+    project.set_labels(name, np.where(np.arange(len(faces)) % 7 == 0, faces, -1).astype(np.int32))
+
+
+def test_a_corrected_shape_is_found_anew_and_the_fit_goes_on(done: Project, family: Path, tmp_path: Path) -> None:
+    project = copy_of(done, tmp_path / "p")
+    before, rounds = project.fit(), len(project.round_figures())
+    assert corrections(project) == ((), "Nothing was painted since the fit.")
+    paint_some(project, family, "chair_0003")
+    assert corrections(project) == (("chair_0003",), "")
+    told = list(run(project, "fit", warm=True, jobs=1))
+    after = project.fit()
+    assert after.round == before.round + WARM_ROUNDS and any("anew" in progress.message for progress in told)
+    assert states(project)["fit"] == "done" and states(project)["learn"] == "stale"
+    painted = project.labels("chair_0003")
+    assert (project.face_labels("chair_0003")[painted >= 0] == painted[painted >= 0]).mean() > 0.95
+    assert len(project.round_figures()) == rounds + WARM_ROUNDS, "the rounds before are kept"
+    assert list(run(project, "fit", jobs=1))[-1].message == "fit is up to date: nothing to do"
+    paint_some(project, family, "chair_0004")
+    last(run(project, "fit", jobs=1))
+    assert project.fit().round == before.round, "unless it is said again, a fit begins at the start"
+
+
+def test_a_killed_refit_goes_on_and_ends_with_the_same_bytes(done: Project, family: Path, tmp_path: Path) -> None:
+    unbroken = copy_of(done, tmp_path / "unbroken")
+    paint_some(unbroken, family, "chair_0003")
+    broken = copy_of(unbroken, tmp_path / "broken")
+    last(run(unbroken, "fit", warm=True, jobs=1))
+    stopped = run(broken, "fit", warm=True, jobs=1)
+    first = unbroken.fit().round - WARM_ROUNDS
+    while next(stopped).step != first + 1:
+        pass
+    stopped.close()
+    assert states(broken)["fit"] == "partial"
+    last(run(broken, "fit", jobs=1))
+    assert contents(broken) == contents(unbroken)
+
+
+def test_a_refit_that_cannot_be_says_why_and_starts_anew(done: Project, family: Path, tmp_path: Path) -> None:
+    project = copy_of(done, tmp_path / "p")
+    exemplar = project.names[project.groups.exemplars[0]]
+    before = project.fit().round
+    paint_some(project, family, exemplar)
+    assert exemplar in corrections(project)[1]
+    told = [progress.message for progress in run(project, "fit", warm=True, jobs=1)]
+    assert any(f"starts anew: {exemplar} is an exemplar" in message for message in told)
+    assert project.fit().round == before
+
+
+def test_a_shape_corrected_after_an_automatic_start_is_evidence(grouped: Project, family: Path, tmp_path: Path) -> None:
+    project = copy_of(grouped, tmp_path / "p")
+    last(run(project, "cosegment", parts=3, jobs=1))
+    last(run(project, "fit", rounds=2, jobs=1))
+    exemplars = set(starting_groups(project).exemplars.tolist()) | set(project.groups.exemplars.tolist())
+    name = next(name for t, name in enumerate(project.names) if t not in exemplars)
+    faces = project.face_labels(name)
+    project.set_labels(name, np.where(np.arange(len(faces)) % 5 == 0, (faces + 1) % 3, -1).astype(np.int32))
+    assert starting_parts(project)[2] is not None and corrections(project) == ((name,), "")
+    last(run(project, "fit", warm=True, jobs=1))
+    painted = project.labels(name)
+    assert (project.face_labels(name)[painted >= 0] == painted[painted >= 0]).mean() > 0.9
+    last(run(project, "fit", rounds=2, jobs=1, restart=True, warm=False))
+    assert states(project)["fit"] == "done"

@@ -8,10 +8,11 @@ does not depend on the number of workers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import repeat
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -99,6 +100,16 @@ class FitState:
         )
 
 
+@dataclass(frozen=True)
+class Within:
+    """Progress inside a round: ``shape`` of ``of_shapes`` are worked on; round 0 is the affine start."""
+
+    round: int
+    of: int
+    shape: int
+    of_shapes: int
+
+
 def fit_templates(
     shapes: Shapes | Sequence[Shape],
     groups: Groups,
@@ -114,7 +125,8 @@ def fit_templates(
     prior: GaussianOnDeformation | None = None,
     seeds: Sequence[np.ndarray] | None = None,
     resume: FitState | None = None,
-) -> Iterator[FitState]:
+    within: bool = False,
+) -> Iterator[FitState | Within]:
     """Learn part templates from painted exemplars and fit them to every shape (§4, Algorithm 1).
 
     ``labels[t]`` are part indices per face record (-1: unpainted) of shape t; every group's exemplar needs some, unless
@@ -123,7 +135,7 @@ def fit_templates(
     Several exemplars get only the first seven tenths of the ``rounds``, and are followed by ``family_rounds`` of the
     family's own templates (see ``family``; None: as many as ``rounds``, at most 8).  ``resume`` goes on from a state
     that an earlier call yielded; one whose fit is at its end is worked on further if ``rounds`` says so.  Yields the
-    affine start and then one state a round.
+    affine start and then one state a round; ``within`` rounds also a ``Within`` after every shape.
 
     Raises ValueError when no exemplar has labels, FitDiverged (with the last good state) on non-finite numbers.
     """
@@ -138,9 +150,11 @@ def fit_templates(
             [owners[g] if g >= 0 else 0 for g in groups.group], repeat(exemplars_per_shape),
             seeds if seeds is not None else repeat(None),
         )  # fmt: skip
+        of = planned_rounds(rounds, len(templates), family_rounds)
+        told = _told(starts, Within(0, of, 0, len(shapes)))
         state = FitState(
             0, 0, "affine start", float("nan"), float("nan"), initial_covariances(), float("nan"),
-            np.full(len(part_names), np.nan), templates, tuple(starts),
+            np.full(len(part_names), np.nan), templates, tuple((yield from told) if within else _end_of(told)),
         )  # fmt: skip
         state = replace(state, of=_last_round(state, rounds, family_rounds))
         yield state
@@ -150,9 +164,10 @@ def fit_templates(
         first = state.family_from if state.family_from >= 0 else exemplar_rounds(rounds)
         if state.family is None and state.round >= first and len(state.templates) > 1 and family_rounds > 0:
             state = _begin_family(state, shapes, each_shape, painted, executor)
-        state = _one_round(
+        told = _one_round(
             state, shapes, each_shape, groups, painted, seeds, rounds, family_rounds, inner, executor, prior
         )
+        state = (yield from told) if within else _end_of(told)
         yield state
         if state.stop_reason is not None:
             return
@@ -160,15 +175,39 @@ def fit_templates(
 
 def _last_round(state: FitState, rounds: int, family_rounds: int) -> int:
     """Number of the round after which a fit ends, as far as can be told from this state."""
-    if state.family is None and (len(state.templates) == 1 or family_rounds == 0):
-        return rounds
-    first = state.family_from if state.family_from >= 0 else exemplar_rounds(rounds)
-    return max(rounds, first + family_rounds)
+    if state.family_from < 0:
+        return planned_rounds(rounds, len(state.templates), family_rounds)
+    return max(rounds, state.family_from + family_rounds)
+
+
+def planned_rounds(rounds: int, exemplars: int, family_rounds: int | None = None) -> int:
+    """Rounds that a fit of so many exemplars is planned to have, those of the family's own templates included."""
+    family_rounds = min(family.ROUNDS, rounds) if family_rounds is None else family_rounds
+    return rounds if exemplars < 2 or family_rounds == 0 else max(rounds, exemplar_rounds(rounds) + family_rounds)
 
 
 def exemplar_rounds(rounds: int) -> int:
     """Rounds that several exemplars' own templates get of those planned; the family's come after them."""
     return max(1, round(EXEMPLARS_SHARE * rounds))
+
+
+def _told(results: Iterable[Any], start: Within) -> Generator[Within, None, list[Any]]:
+    """A list of the results; after each but the last, how far it is."""
+    found = []
+    for result in results:
+        found.append(result)
+        if len(found) < start.of_shapes:
+            yield replace(start, shape=len(found))
+    return found
+
+
+def _end_of(steps: Generator[Within, None, Any]) -> Any:
+    """What a generator returns, nobody being told how far it is."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return end.value
 
 
 def _begin_family(state: FitState, shapes, each_shape, painted, executor) -> FitState:
@@ -185,7 +224,7 @@ def _begin_family(state: FitState, shapes, each_shape, painted, executor) -> Fit
 
 def _one_round(
     state, shapes, each_shape, groups, painted, seeds, rounds, family_rounds, inner, executor, prior
-) -> FitState:  # fmt: skip
+) -> Generator[Within, None, FitState]:  # fmt: skip
     """One outer round of Algorithm 1: every shape, then Σ, then Y."""
     templates, of_family = state.templates, state.family is not None
     owners = _template_of_group(groups, templates, shapes)
@@ -224,6 +263,8 @@ def _one_round(
                     learners[g] += 1
             alone = replace(best, template_moment=np.zeros((1, 3)))
             total = alone if total is None else total + alone
+            if t + 1 < len(shapes):
+                yield Within(number, state.of, t + 1, len(shapes))
     except FloatingPointError as error:
         raise FitDiverged(
             f"{error}: its fit produced numbers that are not finite, usually from broken descriptors; "

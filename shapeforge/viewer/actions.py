@@ -14,6 +14,7 @@ from typing import Any, Protocol, runtime_checkable
 from shapeforge.viewer.readiness import (
     YES,
     Verdict,
+    corrected,
     fit_options,
     group_of,
     groups_of,
@@ -267,7 +268,16 @@ def _stage_actions(actions: Actions) -> list[Action]:
         if session.running:
             actions.desk.control("resume" if session.is_paused else "pause")
         else:
-            actions.start_stage("fit", restart=is_done("fit"), **fit_options(session))
+            actions.start_stage("fit", restart=is_done("fit"), **options(session))
+
+    def options(session: Session) -> dict[str, Any]:
+        found = stage_status(session).get("fit")
+        going_on = found is not None and found.state == "partial"
+        return fit_options(session) | ({} if going_on else {"warm": False})
+
+    def refit_enabled(session: Session) -> Verdict:
+        can, why = needs_rest(session)
+        return corrected(session)[1] if can else (can, why)
 
     def is_done(stage: str) -> bool:
         found = stage_status(actions.session).get(stage)
@@ -277,7 +287,7 @@ def _stage_actions(actions: Actions) -> list[Action]:
         if session.running:
             actions.desk.control("step")
         else:
-            actions.start_stage("fit", restart=is_done("fit"), **fit_options(session))
+            actions.start_stage("fit", restart=is_done("fit"), **options(session))
             actions.desk.control("step")
 
     return [
@@ -287,6 +297,9 @@ def _stage_actions(actions: Actions) -> list[Action]:
                lambda s: stage_verdict(s, "cosegment"), "", "Propose parts without painting", "piece"),
         Action("fit", "Run", run_or_pause, fit_enabled, "Space",
                "Fit the part templates to every shape; it can be paused and goes on where it was", "play", "fit"),
+        Action("refit", "Refit from here", lambda session: actions.start_stage("fit", warm=True), refit_enabled,
+               "Shift+R", "Find the corrected shapes anew and go on with all others from where they are", "swap",
+               "fit"),
         Action("step", "Step", step, fit_enabled, ".", "One round, then pause", "step", "fit"),
         Action("stop", "Stop", lambda session: actions.desk.control("stop"), running, "Ctrl+.",
                "Stop after the present step; what is done is kept", "stop"),

@@ -36,6 +36,7 @@ class FitRecord:
         """The newest live state; None when nothing has run since the project was opened."""
         self._disk: dict[str, list[FittedPoints]] = {}
         self._loaded: str | None = None
+        self._on_disk = -1
         self._names: tuple[str, ...] = ()
         self._templates: list[np.ndarray] = []
         self._off: dict[int, tuple[str, ...]] = {}
@@ -44,7 +45,7 @@ class FitRecord:
 
     def begin(self) -> None:
         """A fit starts: forget the rounds of the one before."""
-        self.rounds, self.state, self._disk, self._loaded = {}, None, {}, None
+        self.rounds, self.state, self._disk, self._loaded, self._on_disk = {}, None, {}, None, -1
 
     def add(self, state: Any, watched: tuple[str, ...]) -> bool:
         """Take a state of the running fit; False when it is no new round."""
@@ -79,6 +80,7 @@ class FitRecord:
             number: Round(number, last.of, figures["energy"], figures["change"], figures["sigma"])
             for number, figures in enumerate(recorded[: last.number])
         } | {last.number: last}
+        self._on_disk = last.number
 
     @property
     def newest(self) -> int:
@@ -87,15 +89,15 @@ class FitRecord:
 
     @property
     def planned(self) -> int:
-        """How many rounds are planned."""
-        return self.rounds[self.newest].of if self.rounds else 10
+        """How many rounds were planned, 0 before there is any."""
+        return self.rounds[self.newest].of if self.rounds else 0
 
     def points(self, name: str, number: int) -> FittedPoints | None:
         """Template points of a shape after a round, None when they were not recorded."""
         known = self.rounds.get(number)
         if known is not None and name in known.points:
             return known.points[name]
-        if self.state is not None:
+        if self.state is not None and not number <= self._on_disk < self.state.round:
             if number != self.state.round or name not in self.project.names:
                 return None
             one = fitted_points(all_beliefs(self.state, self.project.names.index(name)), self.looks)
@@ -118,7 +120,7 @@ class FitRecord:
                 )
                 for points, template in zip(self.project.rounds(name), templates, strict=False)
             ]
-            newest = max(self.newest, 0)
+            newest = max(self._on_disk, 0)
             self._disk[name] = [*rounds[:newest], end] if len(rounds) >= newest else [end] * (newest + 1)
         return self._disk[name]
 

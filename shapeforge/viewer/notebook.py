@@ -169,7 +169,7 @@ class FitView(_Watching):
         progress = session.progress
         new = progress is not None and self.record.add(progress.state, session.watched)
         if progress is not None:
-            self.bar.max, self.bar.value = max(progress.of, 1), progress.step
+            self.bar.max, self.bar.value = max(progress.of, 1), progress.step + progress.within
         for name, button in self.buttons.items():
             show_verdict(button, self.actions, name)
         self.buttons["fit"].description = (

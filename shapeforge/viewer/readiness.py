@@ -69,6 +69,50 @@ def other_quality(session: Session) -> bool:
     return record is not None and not fit_options(session).items() <= record.get("options", {}).items()
 
 
+def painted_exemplars(session: Session) -> int:
+    """How many exemplars a fit has templates from: those painted, or all while the parts are proposed ones."""
+    from shapeforge import stages_status
+
+    groups = groups_of(session)
+    if groups is None:
+        return 0
+    if stages_status.starts_from_proposal(session.project):
+        return len(groups.exemplars)
+    return len(groups.exemplars) - len(unpainted_exemplars(session))
+
+
+def planned_rounds(session: Session, rounds: int | None = None) -> int:
+    """Rounds that the next fit will have (``rounds``: its option; None: as chosen, or as the last fit had it).
+
+    The family's own templates get theirs after those of several exemplars.
+    """
+    from shapeforge.deformation import fit
+
+    if rounds is None:
+        record = session.project.stage_record("fit") or {}
+        last = record.get("options", {}).get("rounds", QUALITIES["normal"]["rounds"])
+        rounds = fit_options(session).get("rounds", last)
+    return fit.planned_rounds(rounds, painted_exemplars(session))
+
+
+def rounds_text(session: Session, rounds: int) -> str:
+    """Rounds of a fit with the option ``rounds``, and whose they are."""
+    from shapeforge.deformation import fit
+
+    whole, first = planned_rounds(session, rounds), fit.exemplar_rounds(rounds)
+    if painted_exemplars(session) < 2 or whole == first:
+        return f"{whole} rounds"
+    return f"{whole} rounds ({first} of the exemplars' templates, {whole - first} of the family's)"
+
+
+def corrected(session: Session) -> tuple[tuple[str, ...], Verdict]:
+    """Names of the shapes that were painted otherwise since the fit, and whether it can be taken up again with them."""
+    from shapeforge import stages_status
+
+    names, why = stages_status.corrections(session.project)
+    return names, (False, why) if why else YES
+
+
 _groups_read: WeakKeyDictionary[Any, tuple[Any, Any]] = WeakKeyDictionary()
 
 

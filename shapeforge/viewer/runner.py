@@ -15,8 +15,8 @@ from typing import Any, Literal
 from shapeforge.viewer.session import Session
 
 Outcome = Literal["done", "stopped", "failed"]
-ANNOUNCEMENTS = ("stale", "partial")
-"""Phases in which a stage only says what it is about to do: no step of its own."""
+ANNOUNCEMENTS = ("stale", "partial", "start")
+"""Phases in which a stage only says what it is about to do: no step of its own (nor is what it says within one)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +119,8 @@ class Runner:
                 except StopIteration:
                     break
                 with self._wake:
-                    if self._mode == "step" and getattr(state, "phase", "") not in ANNOUNCEMENTS:
+                    announced = getattr(state, "phase", "") in ANNOUNCEMENTS or getattr(state, "within", 0.0) > 0
+                    if self._mode == "step" and not announced:
                         self._mode = "pause"  # before the news of it, so that who hears them finds it waiting
                 self._post(News(name, state, (state,), None, None, time.monotonic() - begin))
             else:

@@ -17,7 +17,7 @@ from shapeforge.collection.prepare import prepare_shape
 from shapeforge.deformation.apply import fit_candidates
 from shapeforge.deformation.exemplars import believed_parts, blend
 from shapeforge.deformation.faces import explanations, face_probabilities, label_faces, template_probabilities
-from shapeforge.deformation.fit import FitDiverged, fit_templates
+from shapeforge.deformation.fit import FitDiverged, Within, fit_templates
 from shapeforge.deformation.hierarchy import corresponding_points
 
 N_POINTS = 700
@@ -262,3 +262,15 @@ def test_a_new_shape_is_fitted_without_refitting(family, states):
     alone = (beliefs.segmentation.argmax(axis=1) == wanted).mean()
     together = (last.beliefs[3].segmentation.argmax(axis=1) == wanted).mean()
     assert alone > together - 0.03, "as good as when the shape was part of the family's fit"
+
+
+def test_telling_how_far_a_round_is_changes_nothing(family):
+    told = run(family, rounds=2, within=True)
+    plain = run(family, rounds=2)
+    ends = [one for one in told if not isinstance(one, Within)]
+    assert len(ends) == len(plain) and same(ends[-1], plain[-1])
+    number = len(family[0])
+    for state in plain:
+        inside = [one for one in told if isinstance(one, Within) and one.round == state.round]
+        assert [one.shape for one in inside] == list(range(1, number)) and {one.of for one in inside} == {plain[0].of}
+    assert [one.round for one in told] == sorted(one.round for one in told)

@@ -172,7 +172,7 @@ def test_correcting_goes_to_paint_with_the_shape(open_window, fitted, qtbot, mon
     place = place_of(window)
     name = window.session.shape
     monkeypatch.setattr(window, "_show_place", lambda: None)
-    qtbot.mouseClick(place.correct, LEFT)
+    qtbot.mouseClick(place.correction.correct, LEFT)
     assert (window.session.place, window.session.shape) == ("paint", name)
 
 

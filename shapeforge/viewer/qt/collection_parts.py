@@ -134,8 +134,8 @@ class CollectionStrip(QWidget):
         self.next.setVisible(not running)
         self.done_icon.setVisible(not running and bool(session.status))
         if running and progress is not None:
-            self.bar.setRange(0, max(progress.of, 1))
-            self.bar.setValue(progress.step)
+            self.bar.setRange(0, 1000)
+            self.bar.setValue(round(1000 * progress.share))
             left = f" · {duration(progress.seconds_left)} left" if progress.seconds_left is not None else ""
             self.status.setText(f"{DOING.get(progress.stage, progress.stage)} {progress.step} of {progress.of}{left}")
         elif running:

@@ -27,7 +27,7 @@ from shapeforge.viewer.picking import Pick
 from shapeforge.viewer.qt.bind import Binding, action_button
 from shapeforge.viewer.qt.fit_keys import fit_actions
 from shapeforge.viewer.qt.fit_report import FitReport
-from shapeforge.viewer.qt.fit_run import RunStrip
+from shapeforge.viewer.qt.fit_run import CorrectionFoot, RunStrip
 from shapeforge.viewer.qt.fit_widgets import AlsoWatching, draw_points, show_legend
 from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.stale_note import stale_note
@@ -44,7 +44,7 @@ from shapeforge.viewer.qt.widgets import (
     row,
     separator,
 )
-from shapeforge.viewer.readiness import QUALITIES, chosen_quality
+from shapeforge.viewer.readiness import QUALITIES, chosen_quality, planned_rounds, rounds_text
 from shapeforge.viewer.session import Session
 
 _QUALITY = {
@@ -183,12 +183,11 @@ class FitPlace:
         self.report = FitReport(stale)
         self.report.watch.connect(self._watch_all)
         self.report.override.connect(self._override)
-        self.correct = action_button(self.actions, "correct", self.binding)
-        self.correct_text = label("", "caption", wrap=True)
+        self.correction = CorrectionFoot(self.session, self.actions, self.binding)
         self.next = action_button(
             self.actions, "go_correspondence", self.binding, text="Compare points", kind="primary"
         )
-        foot = column(self.correct, self.correct_text, self.next, spacing=6, margins=(PADDING, 12, PADDING, 12))
+        foot = column(self.correction, self.next, spacing=6, margins=(PADDING, 12, PADDING, 12))
         result = QWidget()
         result.setLayout(column(self.report, separator(), foot, spacing=0))
         return result
@@ -380,7 +379,8 @@ class FitPlace:
             if stamp not in self._pictures:
                 self._pictures[stamp] = draw_points(*all_points(look, points), (76, 80), (1.0, 0.6, 1.5), 2)
             pictures[n] = self._pictures[stamp]
-        self.scrubber.set_state(self.record.planned, self.record.newest, number, 0.0, pictures)
+        planned = self.record.planned or planned_rounds(self.session)
+        self.scrubber.set_state(planned, self.record.newest, number, pictures)
 
     def _show_run(self) -> None:
         if not self._here() or self.record is None:
@@ -389,20 +389,17 @@ class FitPlace:
         finished = self.strip.show_run(session, self.record)
         self.next.setVisible(finished)
         self._show_quality()
-        self.correct.setText(f"Correct {session.shape} by painting" if session.shape else "Correct by painting")
-        can, why = self._can_correct(session)
-        self.correct_text.setText("The next fit takes it as evidence." if can else why)
+        self.correction.show_state(finished)
 
     def _show_quality(self) -> None:
         session = self.session
         chosen = chosen_quality(session)
         self.quality.set_value(chosen)
-        record = {} if chosen else session.project.stage_record("fit") or {}
-        self.quality_text.setText("Quality" if chosen else f"{record['options']['rounds']} rounds, or")
+        self.quality_text.setText("Quality" if chosen else f"{planned_rounds(session)} rounds, or")
         for name, options in QUALITIES.items():
             one = self.quality.button(name)
             one.setEnabled(not session.running)
-            what = f"{options['rounds']} rounds: {_QUALITY[name]}"
+            what = f"{rounds_text(session, options['rounds'])}: {_QUALITY[name]}"
             one.setToolTip(f"{what}\nStop the fit first." if session.running else what)
 
     # -- what the user does ----------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from shapeforge.viewer.qt.widgets import (
     scrolled,
     section,
 )
-from shapeforge.viewer.readiness import Verdict
+from shapeforge.viewer.readiness import Verdict, planned_rounds
 from shapeforge.viewer.session import Session
 
 
@@ -85,7 +85,7 @@ class FitReport(QWidget):
     def _show_curves(self, record: FitRecord, session: Session, number: int) -> None:
         rounds = record.rounds
         numbers = sorted(rounds)
-        of = record.planned
+        of = record.planned or planned_rounds(session)
         look = tokens(session.theme)
         at = float(number) if numbers else None
         energies = [rounds[n].energy for n in numbers]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from PySide6.QtWidgets import QWidget
 
 from shapeforge.viewer.actions import Actions
@@ -11,9 +13,43 @@ from shapeforge.viewer.qt.fit_widgets import Scrubber
 from shapeforge.viewer.qt.icons import set_icon
 from shapeforge.viewer.qt.theme import PADDING
 from shapeforge.viewer.qt.widgets import ElidedLabel, column, label, row, set_style
-from shapeforge.viewer.readiness import other_quality, stage_status
+from shapeforge.viewer.readiness import corrected, other_quality, stage_status
 from shapeforge.viewer.runner import duration
 from shapeforge.viewer.session import Session
+
+
+class CorrectionFoot(QWidget):
+    """Correct the selected shape by painting; then, as long as something was painted since the fit, refit from here."""
+
+    def __init__(self, session: Session, actions: Actions, binding: Binding) -> None:
+        super().__init__()
+        self.session = session
+        self.correct = action_button(actions, "correct", binding)
+        self.refit = action_button(actions, "refit", binding, kind="primary")
+        self.words = label("", "caption", wrap=True)
+        self.setLayout(column(self.correct, self.refit, self.words, spacing=6))
+
+    def show_state(self, finished: bool) -> None:
+        """Show what was corrected; ``finished``: the fit is complete, and true."""
+        session = self.session
+        self.correct.setText(f"Correct {session.shape} by painting" if session.shape else "Correct by painting")
+        names, (can, why) = corrected(session)
+        self.refit.setVisible(bool(names) and not session.running)
+        if session.running:
+            words = "Stop the fit to correct a shape; it goes on from the correction."
+        elif names and can:
+            words = f"Corrected: {_few(names)}. The others keep what they have."
+        elif names:
+            words = f"{why} Run the fit again; it takes the paint of {_few(names)} as evidence."
+        else:
+            words = "Paint what is wrong; then the fit is taken up from here." if finished else ""
+        self.words.setText(words)
+        self.words.setVisible(bool(words))
+
+
+def _few(names: Sequence[str]) -> str:
+    """Some names, and how many more."""
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 class RunStrip(QWidget):
@@ -62,6 +98,7 @@ class RunStrip(QWidget):
         )
         failed = not mine and session.status_kind == "error" and bool(session.status)
         self.phase_text.setText(self._phase(session, mine, finished))
+        self.scrubber.set_share(progress.within if mine and progress is not None and progress.phase == "fit" else 0.0)
         self.problem.setText(session.status if failed else "")
         self.problem.setToolTip(session.status if failed else "")
         for one, shown in ((self.problem, failed), (self.phase_text, not failed)):
@@ -77,9 +114,9 @@ class RunStrip(QWidget):
         if mine:
             if progress.phase == "faces":
                 return f"labelling faces, shape {progress.step} of {progress.of}"
-            if progress.phase == "fit" and progress.step == 0:
-                return "aligned; the first round is under way"
-            return f"round {progress.step + 1} is under way" if progress.phase == "fit" else progress.message
+            if progress.phase == "fit" and not progress.within:
+                return "aligned; the first round is under way" if progress.step == 0 else "the next round is under way"
+            return progress.message
         if session.status and session.status_kind in ("error", "warning"):
             return session.status
         status = stage_status(session).get("fit")

@@ -150,11 +150,17 @@ class Scrubber(QWidget):
     def sizeHint(self) -> QSize:
         return QSize(700, 92)
 
-    def set_state(self, of: int, recorded: int, at: int, share: float, pictures: dict[int, QImage]) -> None:
-        """``recorded`` is the newest recorded round (-1: none), ``at`` the one looked at, ``share`` of the next."""
-        self.of, self.recorded, self.at, self.share = max(of, 1), recorded, at, share
+    def set_state(self, of: int, recorded: int, at: int, pictures: dict[int, QImage]) -> None:
+        """``recorded`` is the newest recorded round (-1: none), ``at`` the one looked at."""
+        self.of, self.recorded, self.at = max(of, 1), recorded, at
         self._pictures = pictures
         self.update()
+
+    def set_share(self, share: float) -> None:
+        """How much of the round under way is done (0..1)."""
+        if share != self.share:
+            self.share = share
+            self.update()
 
     def x_of(self, number: float | int) -> float:
         """Where a round is, in pixels."""
