@@ -70,7 +70,10 @@ class Progress:
 
 @dataclass
 class Task:
-    """What the function of a stage is given: the project, options, workers, and the id its results are filed under."""
+    """What the function of a stage is given: the project, options, workers, and the id its results are filed under.
+
+    ``given`` are the options that this run was given; the others are those of the last run.
+    """
 
     project: Project
     stage: str
@@ -82,6 +85,7 @@ class Task:
     result: str
     summary: dict[str, Any]
     origin: dict[str, Any] = field(default_factory=dict)
+    given: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._started, self._phase, self._first = time.monotonic(), "", 0
@@ -194,7 +198,7 @@ def _run_one(
     project.log(f"{stage}: {'goes on' if going_on else 'starts'} with {options}")
     if not going_on and stage not in ARGUMENTS:
         project.clear_result(stage, result)
-    task = Task(project, stage, options, arguments, inputs, workers, restart, result, {})
+    task = Task(project, stage, options, arguments, inputs, workers, restart, result, {}, given=given)
     started = time.monotonic()
     try:
         yield from _function(stage)(task)

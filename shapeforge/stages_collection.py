@@ -225,10 +225,25 @@ def _import_one(
 
 
 def group(task: Task) -> Iterator[Progress]:
-    """Groups of similar shapes and an exemplar for each; ``exemplars`` (names, or "auto") sets them by hand."""
-    from shapeforge.collection.groups import group_shapes
+    """Groups of similar shapes and an exemplar for each; ``exemplars`` (names, or "auto") sets them by hand.
+
+    Groups that were changed by hand stay, and shapes that came since join the nearest: only ``restart``, or options
+    that are given, find all groups anew.
+    """
+    from shapeforge.collection.groups import group_shapes, join_groups
 
     project = task.project
+    if project.grouped_by_hand and not task.restart and not task.given:
+        new, kept = project.ungrouped_names, project.groups
+        yield task.progress("groups", 0, 1, "the groups made by hand stay")
+        if kept is not None and len(kept):
+            joined = join_groups(kept, project.shapes, [project.index(name) for name in new], executor=task.workers)
+            project.set_groups(joined, by_hand=True)
+            names = [project.names[t] for t in joined.exemplars]
+            text = f"{len(new)} new shape{'s' * (len(new) != 1)} joined the groups made by hand"
+            task.summary |= {"text": text, "groups": len(names), "exemplars": names, "joined": list(new)}
+            yield task.progress("groups", 1, 1, text)
+            return
     chosen = task.options["exemplars"]
     if isinstance(chosen, str):
         chosen = [chosen]

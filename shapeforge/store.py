@@ -371,7 +371,19 @@ class Project(Results):
         """Key of groups and exemplars, None before grouping."""
         return self._metadata["groups"]
 
-    def set_groups(self, groups: Groups) -> None:
+    @property
+    def ungrouped_names(self) -> tuple[str, ...]:
+        """Names of the shapes that came after the groups were made (those left out by hand are not among them)."""
+        path = self.path / "groups.zarr.zip"
+        known = set(read_record(path)[1]["shapes"]) if self.groups is not None else set()
+        return tuple(name for name in self.names if name not in known)
+
+    @property
+    def grouped_by_hand(self) -> bool:
+        """Whether somebody changed the groups or the exemplars after they were found."""
+        return self.groups_key is not None and bool(self._metadata.get("grouped_by_hand", False))
+
+    def set_groups(self, groups: Groups, *, by_hand: bool = False) -> None:
         """Replace the groups; ``ValueError`` when they are about another number of shapes."""
         names = self.names
         if len(groups.group) != len(names):
@@ -380,6 +392,7 @@ class Project(Results):
             write_record(self.path / "groups.zarr.zip", groups, {"shapes": list(names)})
             with self._changing() as metadata:
                 metadata["groups"] = key_of(list(names), groups.group, groups.exemplars)
+                metadata["grouped_by_hand"] = by_hand
 
     # -- what the stages did ---------------------------------------------------------------------------------------
 

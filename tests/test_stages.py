@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ import pytest
 
 from shapeforge import stages
 from shapeforge.collection.families import write_family
+from shapeforge.collection.groups import join_groups
 from shapeforge.collection.iterate import last
 from shapeforge.collection.labels import read_seg
 from shapeforge.deformation.hierarchy import Link
@@ -463,3 +465,37 @@ def test_a_shape_corrected_after_an_automatic_start_is_evidence(grouped: Project
     assert (project.face_labels(name)[painted >= 0] == painted[painted >= 0]).mean() > 0.9
     last(run(project, "fit", rounds=2, jobs=1, restart=True, warm=False))
     assert states(project)["fit"] == "done"
+
+
+# -- groups made by hand ---------------------------------------------------------------------------------------------
+
+
+def test_new_shapes_join_groups_made_by_hand_which_stay(grouped: Project, tmp_path: Path) -> None:
+    project = copy_of(grouped, tmp_path / "p")
+    write_family(tmp_path / "more", "chairs", 2, seed=9, broken=0.0, classes=CLASSES)
+    found = project.groups
+    moved = found.group.copy()
+    moved[5], moved[3] = -1, 1 - moved[3]  # left out, and moved to the other group
+    by_hand = replace(found, group=moved, names=("mine", "yours"))
+    project.set_groups(by_hand, by_hand=True)
+    before = dict(zip(project.names, moved.tolist(), strict=True))
+    last(run(project, "import", meshes=[tmp_path / "more"], points=POINTS))
+    told = list(run(project, "group"))
+    groups = project.groups
+    after = dict(zip(project.names, groups.group.tolist(), strict=True))
+    assert {name: after[name] for name in before} == before and groups.names == ("mine", "yours")
+    assert sorted(project.names[t] for t in groups.exemplars) == ["chair_0000", "chair_0001"]
+    new = [name for name in project.names if name not in before]
+    assert len(new) == 2 and all(after[name] >= 0 for name in new) and "2 new shapes joined" in told[-1].message
+    assert np.isfinite(groups.embedding).all()
+    last(run(project, "group", restart=True))
+    assert project.groups.names == ("Group 1", "Group 2") and not project.grouped_by_hand
+
+
+def test_a_new_shape_joins_the_exemplar_it_is_like(grouped: Project) -> None:
+    shapes, groups = grouped.shapes, grouped.groups
+    without = groups.group.copy()
+    members = [t for t in range(len(shapes)) if t not in groups.exemplars]
+    without[members] = -1
+    joined = join_groups(replace(groups, group=without), shapes, members)
+    assert np.array_equal(joined.group, groups.group), "found among the same exemplars, it is the same group"

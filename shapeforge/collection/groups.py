@@ -125,6 +125,25 @@ def group_shapes(
     yield GroupState(1, 1, "grouping", groups, reason)
 
 
+def join_groups(groups: Groups, shapes: Any, new: Sequence[int], *, executor: Any | None = None) -> Groups:
+    """The same groups and exemplars; the shapes ``new`` (indices, of no group yet) join that of the nearest exemplar.
+
+    On the map they lie between the exemplars, nearest to their own.
+    """
+
+    def sample(t: int) -> np.ndarray:
+        return np.asarray(thinned(thinned(shapes[t].points, 2 * POINTS_COMPARED), POINTS_COMPARED), np.float64)
+
+    exemplars = [sample(int(t)) for t in groups.exemplars]
+    couples = ([(sample(t), exemplar) for exemplar in exemplars] for t in new)
+    group, embedding = groups.group.copy(), groups.embedding.copy()
+    for t, distance in zip(new, in_order(executor, _compare_block, couples), strict=True):
+        group[t] = int(distance.argmin())
+        weight = np.maximum(distance, 1e-9) ** -2
+        embedding[t] = weight @ groups.embedding[groups.exemplars] / weight.sum()
+    return Groups(groups.names, group, groups.exemplars, embedding)
+
+
 def find_exemplars(
     distance: Float[np.ndarray, "T T"], *, rng: np.random.Generator
 ) -> tuple[Int[np.ndarray, " G"], str]:

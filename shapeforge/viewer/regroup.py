@@ -280,7 +280,7 @@ def rename_group(session: Session, g: int, name: str) -> None:
 
 def _change_groups(session: Session, label: str, before: Any, after: Any) -> None:
     def put(groups: Any) -> None:
-        session.project.set_groups(groups)
+        session.project.set_groups(groups, by_hand=True)
         session.group = min(max(session.group, 0), max(len(groups) - 1, 0))
         session.touch("groups")
 
