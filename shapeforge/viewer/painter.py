@@ -15,11 +15,14 @@ from shapeforge.viewer import brushes
 from shapeforge.viewer.display import Mark, MeshLayer, View, face_colours
 from shapeforge.viewer.first_parts import ProposedEdits, are_proposed
 from shapeforge.viewer.painting import PaintState, paint_state
+from shapeforge.viewer.palette import label_colours, pale
 from shapeforge.viewer.part_edits import PaintHistory, PartEdits, clock
 from shapeforge.viewer.part_table import PartTable
 from shapeforge.viewer.session import Session
 
 BRUSH_LIMITS = (0.004, 0.25)
+SUGGESTED = 0.55
+"""How much of their colour proposed parts have: to be told from painted ones."""
 SYMMETRIC = 0.03  # diagonals: a worse mean distance to the mirror image means there is no mirror to speak of
 TOOL_NAMES: dict[str, str] = {
     "brush": "Brush",
@@ -51,6 +54,8 @@ class Painter:
         self.run: Callable[[Callable[[], Iterator[Any]]], None] = lambda make: last(make())
         self.proposed = ProposedEdits(session, lambda make: self.run(make))
         self._edits: PartEdits | None = None
+        self._proposal: tuple[Any, list[np.ndarray] | None] | None = None
+        self._suggested: np.ndarray | None = None
         self._plane: tuple[np.ndarray, float, float] | None = None
         self._plane_known = False
         self._saved: np.ndarray | None = None
@@ -75,12 +80,27 @@ class Painter:
         self.state.clock = lambda: clock(self.state, self.edits)
         self.state.recorded = lambda: self.edits.forget_undone()
         self._remember_saved()
+        self._suggested = self._proposed_faces(name) if are_proposed(self.session) else None
         self._plane_known = False
         self._patches = None
         self.hidden = frozenset()
         self.name = name
         self._drawn: tuple[Any, ...] | None = None
         self._vertices = np.asarray(self.mesh.vertices, float)
+
+    def _proposed_faces(self, name: str) -> Int[np.ndarray, " F"] | None:
+        """The proposed part (F,) of every face: that of the nearest sample."""
+        from shapeforge.stages_collection import read_proposal
+
+        project = self.session.project
+        folder = project.current_folder("cosegment")
+        if self._proposal is None or self._proposal[0] != folder:
+            found = read_proposal(project)
+            self._proposal = folder, None if found is None else [one.argmax(axis=1) for one in found.segmentation]
+        index, labels = project.index(name), self._proposal[1]
+        if labels is None or index >= len(labels) or len(labels[index]) != len(self.shape.points):
+            return None
+        return labels[index][cKDTree(self.shape.points).query(self.surface.centres)[1]].astype(np.int32)
 
     @property
     def part_names(self) -> tuple[str, ...]:
@@ -325,7 +345,11 @@ class Painter:
         """The View of the shape now; arrays keep their identity while they do not change."""
         labels = self.state.labels
         hidden = self.hidden_parts
-        colours = face_colours(labels, self.session.project.part_inks())[self.mesh.face_of_triangle]
+        inks = self.session.project.part_inks()
+        colours = face_colours(labels, inks)
+        if self._suggested is not None and self._are_proposed:
+            colours = pale(label_colours(self._suggested, inks), np.full(len(labels), SUGGESTED))
+        colours = colours[self.mesh.face_of_triangle]
         gone = np.isin(labels, list(hidden))[self.mesh.face_of_triangle] if hidden else None
         key = None if gone is None else gone.tobytes()
         if self._drawn is None or self._drawn[0] != key:

@@ -71,12 +71,10 @@ def other_quality(session: Session) -> bool:
 
 def painted_exemplars(session: Session) -> int:
     """How many exemplars a fit has templates from: those painted, or all while the parts are proposed ones."""
-    from shapeforge import stages_status
-
     groups = groups_of(session)
     if groups is None:
         return 0
-    if stages_status.starts_from_proposal(session.project):
+    if starts_from_proposal(session):
         return len(groups.exemplars)
     return len(groups.exemplars) - len(unpainted_exemplars(session))
 
@@ -144,6 +142,13 @@ def next_to_paint(session: Session) -> str | None:
     return names[0] if names else None
 
 
+def starts_from_proposal(session: Session) -> bool:
+    """Whether the next fit starts from proposed parts: then no exemplar has to be painted."""
+    from shapeforge import stages_status
+
+    return session.project is not None and stages_status.starts_from_proposal(session.project)
+
+
 def next_step(session: Session) -> tuple[str, str]:
     """The action that brings the family on from where it is, and what a button for it says."""
     status = stage_status(session)
@@ -155,7 +160,7 @@ def next_step(session: Session) -> tuple[str, str]:
         return "import_files", "Import shapes…"
     if groups_of(session) is None:
         return "group", "Group the shapes"
-    upcoming = next_to_paint(session)
+    upcoming = None if starts_from_proposal(session) else next_to_paint(session)
     if upcoming is not None:
         return "paint_next", f"Paint {upcoming}"
     if not is_done("fit"):

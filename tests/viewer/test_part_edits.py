@@ -13,6 +13,7 @@ from shapeforge.store import Project
 from shapeforge.viewer.painter import Painter
 from shapeforge.viewer.palette import rgb
 from shapeforge.viewer.part_edits import PartEdits
+from shapeforge.viewer.readiness import next_step
 from shapeforge.viewer.session import Session
 from tests.viewer.conftest import run_stage
 from tests.viewer.paint_hands import Painting, hands_of
@@ -207,6 +208,22 @@ def test_proposed_parts_are_split_and_it_is_undone(open_window, proposed, qtbot)
     assert hands.session.history.redo_label == "split part 1"
     redo(hands)
     qtbot.waitUntil(lambda: len(parts.rows) == 4 and not hands.session.running, timeout=60000)
+
+
+def test_proposed_parts_are_seen_pale_and_the_fit_can_start_from_them(open_window, proposed, qtbot):
+    window = open_window(proposed)
+    assert next_step(window.session) == ("go_fit", "Fit the family"), "nothing has to be painted"
+    window.session.place = "paint"
+    hands = hands_of(window, qtbot)
+    shown = hands.view.shown.views[0].layers[0].colours
+    assert 2 <= len(np.unique(shown, axis=0)) <= 3 and np.ptp(shown.astype(int), axis=1).max() > 40
+    assert hands.place.next.fit.isEnabled() and "proposed parts" in hands.place.next.fit_why.text()
+    hands.session.tool = "piece"
+    hands.click(int(hands.visible()[0]))
+    unpainted = hands.painter.state.labels[hands.painter.mesh.face_of_triangle] < 0
+    after = hands.view.shown.views[0].layers[0].colours
+    assert len(np.unique(after[unpainted], axis=0)) == 1, "what is painted counts now: the rest is blank"
+    qtbot.waitUntil(lambda: "Proposed" not in hands.place.parts.hint.text(), timeout=5000)
 
 
 def test_painted_parts_offer_remove_instead_of_split(painting):

@@ -27,7 +27,7 @@ from shapeforge.viewer.picking import Pick
 from shapeforge.viewer.qt.bind import Binding, action_button
 from shapeforge.viewer.qt.fit_keys import fit_actions
 from shapeforge.viewer.qt.fit_report import FitReport
-from shapeforge.viewer.qt.fit_run import CorrectionFoot, RunStrip
+from shapeforge.viewer.qt.fit_run import CorrectionFoot, RunStrip, rounds_planned
 from shapeforge.viewer.qt.fit_widgets import AlsoWatching, draw_points, show_legend
 from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.stale_note import stale_note
@@ -43,6 +43,7 @@ from shapeforge.viewer.qt.widgets import (
     label,
     row,
     separator,
+    shortened,
 )
 from shapeforge.viewer.readiness import QUALITIES, chosen_quality, planned_rounds, rounds_text
 from shapeforge.viewer.session import Session
@@ -278,7 +279,7 @@ class FitPlace:
         groups, g = groups_of(session), group_of(session, session.shape)
         names = session.project.names
         near = [names[t] for t in groups.members(g)] if g >= 0 else list(names)
-        options = [(name, name) for name in near[:24]]
+        options = [(name, shortened(name)) for name in near[:24]]
         self.watch.set_options([*options, ("", "Find another…")], session.shape or "")
 
     def _layer(self, name: str, kind: str) -> MeshLayer:
@@ -379,7 +380,7 @@ class FitPlace:
             if stamp not in self._pictures:
                 self._pictures[stamp] = draw_points(*all_points(look, points), (76, 80), (1.0, 0.6, 1.5), 2)
             pictures[n] = self._pictures[stamp]
-        planned = self.record.planned or planned_rounds(self.session)
+        planned = rounds_planned(self.session, self.record)
         self.scrubber.set_state(planned, self.record.newest, number, pictures)
 
     def _show_run(self) -> None:

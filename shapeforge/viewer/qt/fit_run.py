@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QWidget
 
 from shapeforge.viewer.actions import Actions
@@ -12,8 +13,8 @@ from shapeforge.viewer.qt.bind import Binding, action_button
 from shapeforge.viewer.qt.fit_widgets import Scrubber
 from shapeforge.viewer.qt.icons import set_icon
 from shapeforge.viewer.qt.theme import PADDING
-from shapeforge.viewer.qt.widgets import ElidedLabel, column, label, row, set_style
-from shapeforge.viewer.readiness import corrected, other_quality, stage_status
+from shapeforge.viewer.qt.widgets import ElidedLabel, column, label, row, set_style, shortened
+from shapeforge.viewer.readiness import corrected, other_quality, planned_rounds, stage_status
 from shapeforge.viewer.runner import duration
 from shapeforge.viewer.session import Session
 
@@ -27,12 +28,15 @@ class CorrectionFoot(QWidget):
         self.correct = action_button(actions, "correct", binding)
         self.refit = action_button(actions, "refit", binding, kind="primary")
         self.words = label("", "caption", wrap=True)
+        self.words.setMinimumHeight(32)
+        self.words.setAlignment(Qt.AlignmentFlag.AlignTop)
         self.setLayout(column(self.correct, self.refit, self.words, spacing=6))
 
     def show_state(self, finished: bool) -> None:
         """Show what was corrected; ``finished``: the fit is complete, and true."""
         session = self.session
-        self.correct.setText(f"Correct {session.shape} by painting" if session.shape else "Correct by painting")
+        name = shortened(session.shape, 18) if session.shape else ""
+        self.correct.setText(f"Correct {name} by painting" if name else "Correct by painting")
         names, (can, why) = corrected(session)
         self.refit.setVisible(bool(names) and not session.running)
         if session.running:
@@ -47,9 +51,17 @@ class CorrectionFoot(QWidget):
         self.words.setVisible(bool(words))
 
 
+def rounds_planned(session: Session, record: FitRecord) -> int:
+    """Rounds of the fit that runs, else of the one that is shown, else of the next."""
+    progress = session.progress
+    if session.running and session.stage == "fit" and progress is not None and progress.phase == "fit":
+        return max(progress.of, record.newest)
+    return record.planned or planned_rounds(session)
+
+
 def _few(names: Sequence[str]) -> str:
     """Some names, and how many more."""
-    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    return ", ".join(shortened(name) for name in names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 class RunStrip(QWidget):
@@ -88,10 +100,13 @@ class RunStrip(QWidget):
         going_on = bool(done) and done.state == "partial" and not other_quality(session)
         words = "Resume" if mine and session.is_paused else "Pause" if mine else "Go on" if going_on else "Run"
         self.run.setText(words if not finished else "Run again")
-        set_style(self.run, "kind", "" if finished else "primary")
-        set_icon(self.run, "pause" if mine and not session.is_paused else "play", "text_2" if finished else "on_accent")
+        names, (can_refit, _) = corrected(session)
+        quiet = finished or (bool(names) and can_refit and not mine)  # one blue button at a time
+        set_style(self.run, "kind", "" if quiet else "primary")
+        set_icon(self.run, "pause" if mine and not session.is_paused else "play", "text_2" if quiet else "on_accent")
         newest = record.newest
-        self.round_text.setText(f"Round {max(newest, 0)} of {record.planned}" if newest >= 0 else "Not fitted yet")
+        of = rounds_planned(session, record)
+        self.round_text.setText(f"Round {max(newest, 0)} of {of}" if newest >= 0 else "Not fitted yet")
         left = progress.seconds_left if mine and progress is not None and not session.is_paused else None
         self.left_text.setText(
             f"· {duration(left)} left" if left is not None else "· paused" if mine and session.is_paused else ""

@@ -10,7 +10,7 @@ from shapeforge.viewer.actions import PLACE_NAMES, Actions, group_of, groups_of
 from shapeforge.viewer.qt.bind import ENABLING, Binding, action_button, native
 from shapeforge.viewer.qt.icons import refresh, set_icon
 from shapeforge.viewer.qt.theme import HEADER, PADDING
-from shapeforge.viewer.qt.widgets import ElidedLabel, button, clear, icon_label, label, row, separator
+from shapeforge.viewer.qt.widgets import ElidedLabel, button, clear, icon_label, label, row, separator, shortened
 from shapeforge.viewer.runner import DOING, duration
 
 SHOWN_MS = 6000
@@ -118,7 +118,7 @@ class Header(QFrame):
             last = i == len(crumbs) - 1
             if i:
                 self.crumbs.addWidget(icon_label("right", "text_off", 12))
-            one = button(text, kind="crumb")
+            one = button(shortened(text, 30), kind="crumb", tooltip=text if len(text) > 30 else "")
             one.setEnabled(not last)
             one.clicked.connect(go)
             self.crumbs.addWidget(one)

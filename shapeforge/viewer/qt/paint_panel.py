@@ -40,6 +40,7 @@ from shapeforge.viewer.qt.widgets import (
     row,
     scrolled,
 )
+from shapeforge.viewer.readiness import starts_from_proposal
 from shapeforge.viewer.session import Session
 
 SAVE_MS = 700
@@ -258,6 +259,8 @@ class PaintPlace:
             self.painter.read(self.painter.name)
             self._show_shape()
             self._changed_view()
+        elif self._entered and self.painter.name is not None:
+            self.parts.show_chosen()  # proposed parts are painted ones as soon as there is paint
 
     def _parts_changed(self) -> None:
         """New, renamed, recoloured, merged, removed, or any of it undone."""
@@ -448,6 +451,8 @@ class PaintPlace:
     # ---- next ----------------------------------------------------------------------------------------------------
 
     def _can_fit(self, session: Session) -> tuple[bool, str]:
+        if starts_from_proposal(session):
+            return YES if not session.running else (False, f"Wait until {session.stage or 'the stage'} is done.")
         left = [name for name in unpainted_exemplars(session) if name != self.painter.name or not self._has_paint()]
         if left:
             few = len(left) == 1

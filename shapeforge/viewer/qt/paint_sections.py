@@ -10,6 +10,7 @@ from shapeforge.viewer.actions import Actions, next_to_paint
 from shapeforge.viewer.painter import BRUSH_LIMITS, Painter
 from shapeforge.viewer.qt.bind import Binding, action_button, keep_enabled
 from shapeforge.viewer.qt.widgets import Segments, Switch, button, column, heading, icon_label, label, row, section
+from shapeforge.viewer.readiness import starts_from_proposal
 from shapeforge.viewer.session import Session
 
 SIZE_STEPS = 200
@@ -113,9 +114,13 @@ class NextSection(QFrame):
         if self.session.project is None:
             return
         can, why = verdict
-        self.fit_why.setText("Every exemplar is painted." if can else why)
+        proposed = starts_from_proposal(self.session)
+        done = (
+            "The fit starts from the proposed parts; paint is evidence." if proposed else "Every exemplar is painted."
+        )
+        self.fit_why.setText(done if can else why)
         self.fit_icon.setVisible(not can)
-        following = next_to_paint(self.session)
+        following = None if proposed else next_to_paint(self.session)
         self.go_exemplar.setVisible(following is not None and following != present)
         self.go_exemplar.setText(f"Paint {following}")
 

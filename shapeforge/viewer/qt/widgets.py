@@ -170,6 +170,11 @@ def button(
     return result
 
 
+def shortened(text: str, most: int = 26) -> str:
+    """A name of at most ``most`` characters, an ellipsis in its middle: the ends tell names apart."""
+    return text if len(text) <= most else f"{text[: (most - 1) // 2]}…{text[len(text) - most // 2 :]}"
+
+
 def separator(*, vertical: bool = False, height: int = 20) -> QFrame:
     """A 1-px line; a vertical one is ``height`` pixels high."""
     line = QFrame()
