@@ -10,7 +10,7 @@ from PySide6.QtGui import QPixmap
 from PySide6.QtWidgets import QApplication, QWidget
 
 from shapeforge.viewer import brushes
-from shapeforge.viewer.actions import YES, Action, Actions, next_to_paint, unpainted_exemplars
+from shapeforge.viewer.actions import YES, Actions, next_to_paint, unpainted_exemplars
 from shapeforge.viewer.completing import Completion
 from shapeforge.viewer.display import Display
 from shapeforge.viewer.painter import BRUSH_LIMITS, TOOL_NAMES, Painter
@@ -19,9 +19,8 @@ from shapeforge.viewer.pictures import mesh_view, take_picture
 from shapeforge.viewer.qt.bind import Binding, action_button
 from shapeforge.viewer.qt.icons import refresh, set_icon
 from shapeforge.viewer.qt.paint_hand import PaintHand
+from shapeforge.viewer.qt.paint_keys import paint_actions
 from shapeforge.viewer.qt.paint_parts import (
-    TOOL_HINTS,
-    TOOL_KEYS,
     HistoryStrip,
     ShareBar,
     ToolColumn,
@@ -72,7 +71,8 @@ class PaintPlace:
         self._next = 0
         self._count: int | None = None
         self._old_history = session.history
-        self._add_actions()
+        for action in paint_actions(self):
+            actions.add(action)
         self._build()
         self._mail = Mail(self.centre)
         self._mail.arrived.connect(self._completed)
@@ -93,51 +93,13 @@ class PaintPlace:
 
     # ---- building ------------------------------------------------------------------------------------------------
 
-    def _add_actions(self) -> None:
-        def add(
-            name: str, text: str, run: Callable[[], None], key: str, tooltip: str = "", icon: str = "", enabled=None
-        ) -> None:
-            self.actions.add(
-                Action(
-                    name, text, lambda _session: run(), enabled or (lambda _session: YES), key, tooltip, icon, "paint"
-                )
-            )
-
-        for tool, key in TOOL_KEYS.items():
-            add(f"tool_{tool}", TOOL_NAMES[tool], lambda tool=tool: self._take(tool), key, TOOL_HINTS[tool], tool)
-        for number in range(1, 10):
-            add(f"part_{number}", f"Part {number}", lambda n=number: self._take_part(n - 1), str(number))
-        add("mirror", "Mirror", self._toggle_mirror, "M", "Paint the opposite side too", "mirror", self._can_mirror)
-        add("isolate", "Isolate", self._toggle_isolate, "H", "Show only the current part and what is unpainted", "eye")
-        add("reach", "Surface or through", lambda: self._toggle("reach", "surface", "through"), "T",
-            "Brush and lasso take what is seen, or what lies behind, too")  # fmt: skip
-        add("fill_to", "Fill to creases or patch", lambda: self._toggle("fill_to", "creases", "patch"), "Shift+F",
-            "Where the fill stops")  # fmt: skip
-        add("smaller", "Smaller brush", lambda: self._resize(-1), "[")
-        add("larger", "Larger brush", lambda: self._resize(1), "]")
-        add("next_piece", "Next piece", self._go_next, "N", "Turn to the next unpainted piece", "", self._can_go_next)
-        add("complete", "Complete the rest", self._complete, "Shift+S",
-            "Fill in what is unpainted from what is painted", "scribble", self._can_complete)  # fmt: skip
-        add("home_view", "Look from the front", lambda: self.view.fit(), "Home", "The usual view", "home")
-        self.actions.add(
-            Action(
-                "fit_family",
-                "Fit the family",
-                self._fit,
-                self._can_fit,
-                "",
-                "Explain every shape with these parts",
-                "fit",
-            )
-        )
-
     def _build(self) -> None:
         self.tools = ToolColumn()
         self.tools.chosen.connect(lambda tool: self.actions.run(f"tool_{tool}"))
         self.tools.mirror_toggled.connect(lambda: self.actions.run("mirror"))
         self.view = self._view_factory()
         self.hand = PaintHand(self.session, self.view, self.painter, self._stroke_ended)
-        self.view.size_wheel.connect(self._resize)
+        self.view.size_wheel.connect(self.resize)
         self.shares = ShareBar(6)
         self.blank = label("", "strong")
         self.blank_words = label("", "text2")
@@ -326,32 +288,14 @@ class PaintPlace:
         self.session.edit_count += 1
         self._show_history()
 
-    def _take(self, tool: str) -> None:
-        self.session.tool = tool
-
-    def _take_part(self, part: int) -> None:
-        if part < len(self.painter.part_names):
-            self.session.part = part
-
-    def _resize(self, steps: int) -> None:
+    def resize(self, steps: int) -> None:
+        """A brush larger or smaller by so many steps."""
         low, high = BRUSH_LIMITS
         self.session.brush_size = float(min(max(self.session.brush_size * 1.15**steps, low), high))
         self.hand.mark(self.view.pick(*self.view.pointer))
 
-    def _can_mirror(self, session: Session) -> tuple[bool, str]:
-        if self.painter.name is None:
-            return False, "Choose a shape first."
-        return (
-            YES if self.painter.mirror_plane is not None else (False, f"{self.painter.name} is not symmetric enough.")
-        )
-
-    def _toggle(self, field: str, first: str, second: str) -> None:
-        setattr(self.session, field, second if getattr(self.session, field) == first else first)
-
-    def _toggle_mirror(self) -> None:
-        self.session.mirror = not self.session.mirror
-
-    def _toggle_isolate(self) -> None:
+    def toggle_isolate(self) -> None:
+        """Show the current part and what is unpainted only, or all again."""
         self.painter.isolated = not self.painter.isolated
         self._changed_view()
 
@@ -364,20 +308,18 @@ class PaintPlace:
         if self.painter.name is not None:
             self.view.display(Display((self.painter.view(),)))
 
-    def _can_go_next(self, _session: Session) -> tuple[bool, str]:
-        return YES if self._pieces else (False, "Everything is painted.")
+    @property
+    def has_unpainted(self) -> bool:
+        """Some piece is still unpainted."""
+        return bool(self._pieces)
 
-    def _go_next(self) -> None:
+    def go_next(self) -> None:
+        """Turn to the next unpainted piece."""
         self.hand.point_at(self._pieces[self._next % len(self._pieces)])
         self._next += 1
 
-    def _can_complete(self, _session: Session) -> tuple[bool, str]:
-        labels = self.painter.state.labels
-        if not (labels >= 0).any():
-            return False, "Paint a stroke on each part first."
-        return YES if (labels < 0).any() else (False, "Everything is painted.")
-
-    def _complete(self) -> None:
+    def complete(self) -> None:
+        """Fill in what is unpainted."""
         if self.painter.complete():
             self._ended()
 
@@ -450,7 +392,8 @@ class PaintPlace:
 
     # ---- next ----------------------------------------------------------------------------------------------------
 
-    def _can_fit(self, session: Session) -> tuple[bool, str]:
+    def can_fit(self, session: Session) -> tuple[bool, str]:
+        """Whether the family can be fitted with what is painted and, when not, why not."""
         if starts_from_proposal(session):
             return YES if not session.running else (False, f"Wait until {session.stage or 'the stage'} is done.")
         left = [name for name in unpainted_exemplars(session) if name != self.painter.name or not self._has_paint()]
@@ -468,7 +411,8 @@ class PaintPlace:
     def _has_paint(self) -> bool:
         return self.painter.name is not None and bool((self.painter.state.labels >= 0).any())
 
-    def _fit(self, session: Session) -> None:
+    def fit_family(self, session: Session) -> None:
+        """Go to Fit, and begin."""
         self._save()
         session.place = "fit"
         if "fit" in self.actions and self.actions.verdict("fit")[0]:
@@ -476,4 +420,4 @@ class PaintPlace:
 
     def _show_next(self) -> None:
         if self.session.project is not None:
-            self.next.show_next(self._can_fit(self.session), self.painter.name)
+            self.next.show_next(self.can_fit(self.session), self.painter.name)
