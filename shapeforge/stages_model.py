@@ -28,7 +28,7 @@ ROUNDS_PER_ALTERNATION = 2
 def fit(task: Task) -> Iterator[Progress]:
     """Templates, correspondences, segmentations (a checkpoint a round), then the high-level templates and faces."""
     from shapeforge.deformation.fit import Within, fit_templates
-    from shapeforge.deformation.warm import refit_templates
+    from shapeforge.deformation.warm import WARM_ROUNDS, refit_templates
     from shapeforge.stages_pace import Pace
 
     project, folder = task.project, task.folder
@@ -52,7 +52,9 @@ def fit(task: Task) -> Iterator[Progress]:
         elif start is not None:
             keep_rounds(project, folder)
             write_text(went_warm, "{}")
-            yield task.progress("fit", start.round, start.round + 1, "finding the corrected shapes anew", state=start)
+            yield task.progress(
+                "fit", start.round, start.round + WARM_ROUNDS, "finding the corrected shapes anew", state=start
+            )
         steps = (
             fit_templates(*known, rounds=options["rounds"], resume=state, within=True, **more)
             if start is None

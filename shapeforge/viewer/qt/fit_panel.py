@@ -279,7 +279,7 @@ class FitPlace:
         groups, g = groups_of(session), group_of(session, session.shape)
         names = session.project.names
         near = [names[t] for t in groups.members(g)] if g >= 0 else list(names)
-        options = [(name, shortened(name)) for name in near[:24]]
+        options = [(name, shortened(name, 18)) for name in near[:24]]
         self.watch.set_options([*options, ("", "Find another…")], session.shape or "")
 
     def _layer(self, name: str, kind: str) -> MeshLayer:

@@ -35,8 +35,7 @@ class CorrectionFoot(QWidget):
     def show_state(self, finished: bool) -> None:
         """Show what was corrected; ``finished``: the fit is complete, and true."""
         session = self.session
-        name = shortened(session.shape, 18) if session.shape else ""
-        self.correct.setText(f"Correct {name} by painting" if name else "Correct by painting")
+        self.correct.setText(f"Correct {shortened(session.shape, 22)}" if session.shape else "Correct by painting")
         names, (can, why) = corrected(session)
         self.refit.setVisible(bool(names) and not session.running)
         if session.running:

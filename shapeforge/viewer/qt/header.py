@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from PySide6.QtCore import QPoint, QStringListModel, Qt, QTimer
-from PySide6.QtGui import QAction, QKeyEvent
+from PySide6.QtGui import QAction, QFont, QFontMetrics, QKeyEvent
 from PySide6.QtWidgets import QCompleter, QFrame, QLineEdit, QMenu, QWidget
 
 from shapeforge.viewer.actions import PLACE_NAMES, Actions, group_of, groups_of
@@ -120,6 +120,9 @@ class Header(QFrame):
                 self.crumbs.addWidget(icon_label("right", "text_off", 12))
             one = button(shortened(text, 30), kind="crumb", tooltip=text if len(text) > 30 else "")
             one.setEnabled(not last)
+            bold = QFont(one.font())  # the last one is bold, which its hint of size does not know
+            bold.setWeight(QFont.Weight.DemiBold)
+            one.setMinimumWidth(QFontMetrics(bold).horizontalAdvance(one.text()) + 14 if last else 0)
             one.clicked.connect(go)
             self.crumbs.addWidget(one)
         refresh(self, session.theme)
