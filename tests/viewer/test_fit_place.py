@@ -144,7 +144,7 @@ def test_watching_another_shape(open_window, fitted, qtbot):
     qtbot.mouseClick(other, LEFT)
     assert window.session.shape == other.name
     qtbot.waitUntil(lambda: place.heads[0][1].full_text().startswith(other.name))
-    assert other.name in place.report.parts_title.text() and other.name in place.correct.text()
+    assert other.name in place.report.parts_title.text() and other.name in place.correction.correct.text()
 
 
 def test_the_grid_shows_all_watched_shapes(open_window, fitted, qtbot):
@@ -373,7 +373,8 @@ def test_every_part_that_is_off_says_why_and_where_else(open_window, fitted, qtb
 def test_the_quality_is_chosen_and_is_what_runs(open_window, fitted, qtbot):
     window = open_window(fitted, "fit")
     session, place = window.session, place_of(window)
-    assert session.quality == "" and "2 rounds" in place.quality_text.text(), "as it was fitted last"
+    assert session.quality == "", "as it was fitted last"
+    assert place.quality_text.text() == f"{fitted.fit().of} rounds, or", "those of the family's templates, too"
     qtbot.mouseClick(place.quality.button("draft"), LEFT)
     assert session.quality == "draft" and place.quality.button("draft").isChecked()
     qtbot.mouseClick(place.step, LEFT)
