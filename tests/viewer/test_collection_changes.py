@@ -13,6 +13,7 @@ from shapeforge.collection.groups import Groups
 from shapeforge.store import Project
 from shapeforge.viewer.regroup import second_half, tidied
 from shapeforge.viewer.turning import AXES, about, ring
+from tests.viewer.paint_hands import move
 from tests.viewer.test_collection_place import spot, two_of_a_group
 
 LEFT, CTRL = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.ControlModifier
