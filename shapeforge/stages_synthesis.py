@@ -70,12 +70,13 @@ def synthesize(task: Task) -> Iterator[Progress]:
 
 
 def completed(machine: Any, drawn: Any, sources: Any) -> Any:
-    """The draws with the parts that join what would fall asunder (see ``synthesis.complete``)."""
+    """The draws with the parts that they cannot do without (see ``synthesis.complete``)."""
     from shapeforge.generative.draw import Draw
     from shapeforge.generative.inference import decode
-    from shapeforge.synthesis.complete import bridging_parts
+    from shapeforge.synthesis.complete import completed_parts
 
-    exists = np.stack([bridging_parts(one, sources.touching) for one in drawn.exists])
+    having = sources.exists.mean(axis=0)
+    exists = np.stack([completed_parts(one, sources.touching, having) for one in drawn.exists])
     if np.array_equal(exists, drawn.exists):
         return drawn
     latents = replace(drawn.latents, exists=exists)

@@ -49,12 +49,13 @@ class SynthesizedShape:
 
 def synthesize(
     points: Float[np.ndarray, "K 3"], exists: Bool[np.ndarray, " L"], sources: Sources, *, preview: bool = False,
-    shapes: Int[np.ndarray, " L"] | None = None,
+    shapes: Int[np.ndarray, " L"] | None = None, symmetric: bool = True,
 ) -> SynthesizedShape:  # fmt: skip
     """The mesh of one draw: ``points`` in normal coordinates (NaN where absent), ``exists`` per part.
 
     ``preview`` uses the quick solver and one look at the contacts: for a slider that moves.  ``shapes`` (index of a
     training shape per part, -1 none) replaces the retrieval: keep it while a slider moves and the parts don't flicker.
+    What the family has ``symmetric`` comes out so, whatever the draw.
     A part that no training shape offers is left out, its source "".
     """
     if points.shape != (len(sources.part), 3) or exists.shape != (sources.n_parts,):
@@ -62,6 +63,8 @@ def synthesize(
             f"points, exists: wanted ({len(sources.part)}, 3) and ({sources.n_parts},), got {points.shape} and "
             f"{exists.shape}. Do the draw and the sources come from the same fit?"
         )
+    if symmetric:
+        points = sources.mirror.made_symmetric(points, sources.part)
     if shapes is None:
         shapes = retrieve(points, exists, sources).shape
     bent: dict[int, BentPart] = {}
@@ -111,13 +114,16 @@ def _merge(bent: Mapping[int, BentPart], told: tuple[Mapping, Mapping], sources:
     names = sources.part_names
     gaps = {f"{names[l]} – {names[other]}": gap for (l, other), gap in told[0].items()}
     deep = {f"{names[l]} – {names[other]}": d for (l, other), d in told[1].items()}
-    handles = [node for piece in bent.values() for node in piece.source.handle_rows @ piece.x]
+    placed = np.full((len(sources.part), 3), np.nan)
+    for piece in bent.values():
+        placed[piece.source.template] = piece.source.handle_rows @ piece.x
+    plane = sources.mirror.normal, sources.mirror.place(placed, sources.part)
     measures = {
         "largest_gap": max(gaps.values(), default=0.0),
         "gaps": gaps,
         "too_deep": max(deep.values(), default=0.0),
         "depths": deep,
-        "symmetry_error": symmetry_error(np.array(handles)) if handles else None,
+        "symmetry_error": symmetry_error(placed[np.isfinite(placed).all(axis=1)], plane) if bent else None,
         "folded_triangles": folds,
         "distance_from_draw": float(np.concatenate(miss).mean()) if miss else None,
         "n_triangles": int(sum(len(t) for t in triangles)),

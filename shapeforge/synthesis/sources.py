@@ -19,6 +19,7 @@ from shapeforge.synthesis.cleaning import neighbours
 from shapeforge.synthesis.depths import depths, directions_into
 from shapeforge.synthesis.embedded import DeformationGraph, build_graph
 from shapeforge.synthesis.measures import PartQuality
+from shapeforge.synthesis.mirror import FamilyMirror, find_mirror
 from shapeforge.synthesis.parts import cut_mesh, cut_part
 from shapeforge.synthesis.surfaces import as_mesh, farthest_points, touching_pieces
 
@@ -113,6 +114,11 @@ class Sources:
     def n_parts(self) -> int:
         """Number of parts L."""
         return len(self.part_names)
+
+    @cached_property
+    def mirror(self) -> FamilyMirror:
+        """The family's mirror plane; found when it is first asked for."""
+        return find_mirror(self.positions, self.exists, self.part)
 
     def parts_of(self, index: int) -> dict[int, SourcePart]:
         """Usable parts of training shape ``index``; kept in memory for the last ``keep`` shapes."""
