@@ -237,6 +237,13 @@ def synthesize(
     count: Annotated[int | None, typer.Option(min=1, help="How many (first run: 20).")] = None,
     format: Annotated[str | None, typer.Option(help="glb, ply, obj or stl (first run: glb).")] = None,
     temperature: Annotated[float | None, typer.Option(help="Below 1 typical shapes, above 1 unusual ones.")] = None,
+    route: Annotated[
+        str | None,
+        typer.Option(help="parts: of training shapes, bent; surface: a new closed one from the points (first: parts)."),
+    ] = None,
+    union: Annotated[
+        bool | None, typer.Option("--union/--no-union", help="Make closed parts one solid (needs manifold3d).")
+    ] = None,
     recipe: Annotated[list[Path] | None, typer.Option(help="Make these again: .recipe.json beside a mesh.")] = None,
     seed: Seed = None,
     jobs: Jobs = None,
@@ -256,7 +263,7 @@ def synthesize(
         return
     run_stage(
         path, "synthesize", as_json, jobs=jobs, restart=restart, out=str(out.absolute()), count=count, format=format,
-        temperature=temperature, seed=seed,
+        temperature=temperature, route=route, union=union, seed=seed,
     )  # fmt: skip
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,14 @@ from shapeforge.store import Project
 from shapeforge.store_arrays import clear_disk_errors, read_record, write_record, write_text
 
 FORMATS = ("glb", "ply", "obj", "stl")
+ROUTES = ("parts", "surface")
+"""Parts of training shapes, bent and put together; or a new surface around the points (§7)."""
 
 
 def synthesize(task: Task) -> Iterator[Progress]:
     """``count`` new shapes: drawn, made of retrieved and bent parts, written as labelled meshes to ``out``."""
     from shapeforge.generative.draw import draw
     from shapeforge.stages_recipes import points_of, recipe_of, write_recipe
-    from shapeforge.synthesis.assemble import synthesize as synthesize_mesh
 
     project, folder, options = task.project, task.folder, task.options
     if options["format"] not in FORMATS:
@@ -39,6 +41,7 @@ def synthesize(task: Task) -> Iterator[Progress]:
     rng = np.random.default_rng(options["seed"])
     drawn = draw(machine, mixture, count, rng=rng, temperature=float(options["temperature"]))
     sources = sources_of(project)
+    make = mesh_maker(sources, options["route"], union=options["union"])
     drawn = completed(machine, drawn, sources)
     names = [f"{project.name}_{i + 1:03d}" for i in range(count)]
     part_names = fitted_part_names(project)
@@ -49,8 +52,9 @@ def synthesize(task: Task) -> Iterator[Progress]:
         if path.is_file():
             made = read_record(path)[0]
         else:
-            shape = synthesize_mesh(points_of(machine, drawn.latents[i]), drawn.exists[i], sources)
+            shape = make(points_of(machine, drawn.latents[i]), drawn.exists[i])
             drawing = {"seed": options["seed"], "number": i + 1, "temperature": float(options["temperature"])}
+            drawing |= {"route": options["route"], "union": options["union"]}
             made = as_record(shape) | {"recipe": recipe_of(project, drawn.latents[i], shape, **drawing)}
             write_record(path, made)
         write_recipe(out / f"{names[i]}.{options['format']}", made["recipe"])
@@ -65,8 +69,43 @@ def synthesize(task: Task) -> Iterator[Progress]:
         write_part_names(out / "labels.json", part_names)
     write_text(out / "measures.json", json.dumps(measures, indent=1))
     text = f"{count} shapes in {out}"
+    apart = sum("not_united" in found for found in measures.values())
+    if apart:
+        text += f"; {apart} of them in parts that are not closed and cannot be united (why: measures.json)"
     task.summary |= {"text": text, "count": count, "out": str(out), "names": names}
     yield task.progress("synthesize", count, count, text, state=drawn)
+
+
+def mesh_maker(sources: Any, route: str, *, union: bool = False) -> Callable[..., Any]:
+    """What makes a ``SynthesizedShape`` of points (K, 3) and parts (L,): of retrieved parts, or a new surface.
+
+    With ``union`` parts become one watertight solid where they are closed; where they are not, its measures say why.
+    Keyword arguments go on to the route.  Raises StageError for an unknown route or a missing package.
+    """
+    from shapeforge.synthesis.assemble import synthesize as from_parts
+    from shapeforge.synthesis.oriented import Orientations
+    from shapeforge.synthesis.surface import synthesize_surface
+    from shapeforge.synthesis.union import solid_modeller, unite
+
+    if route not in ROUTES:
+        raise StageError(f"route: wanted one of {', '.join(ROUTES)}, got {route!r}")
+    if route == "surface":
+        return partial(synthesize_surface, orientations=Orientations(sources))
+    if not union:
+        return partial(from_parts, sources=sources)
+    try:
+        solid_modeller()
+    except ValueError as error:
+        raise StageError(str(error)) from None
+
+    def united(points: np.ndarray, exists: np.ndarray, **more: Any) -> Any:
+        shape = from_parts(points, exists, sources, **more)
+        try:
+            return unite(shape)
+        except ValueError as error:
+            return replace(shape, measures={**shape.measures, "not_united": str(error)})
+
+    return united
 
 
 def completed(machine: Any, drawn: Any, sources: Any) -> Any:

@@ -191,6 +191,23 @@ def test_a_recipe_makes_the_same_mesh_again(folder: Path, tmp_path: Path, capsys
         assert (tmp_path / labels).read_bytes() == (folder / "new" / labels).read_bytes()
 
 
+def test_a_surface_from_scratch_is_closed_and_made_again(folder: Path, tmp_path: Path, capsys) -> None:
+    shutil.copytree(folder / "project", tmp_path / "project")
+    line = ["synthesize", tmp_path / "project", "--count", "1", "--format", "ply"]
+    status, _, err = run(capsys, *line, "--route", "surface", "--out", tmp_path / "a")
+    assert status == 0, err
+    (recipe,) = (tmp_path / "a").glob("*.recipe.json")
+    (measures,) = json.loads((tmp_path / "a" / "measures.json").read_text()).values()
+    assert measures["open_edges"] == 0 and not any(measures["sources"])
+    assert json.loads(recipe.read_text())["route"] == "surface"
+    status, _, err = run(capsys, *line, "--recipe", recipe, "--out", tmp_path / "b")
+    assert status == 0, err
+    mesh = recipe.name.removesuffix(".recipe.json")
+    assert (tmp_path / "b" / mesh).read_bytes() == (tmp_path / "a" / mesh).read_bytes()
+    status, _, err = run(capsys, *line, "--route", "magic", "--out", tmp_path / "c")
+    assert status == 1 and "parts, surface" in err
+
+
 @pytest.mark.parametrize(
     ("change", "expected"),
     [

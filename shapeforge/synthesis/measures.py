@@ -166,6 +166,16 @@ def symmetry_error(
     return float(cKDTree(points).query(mirrored(points, normal, place))[0].mean())
 
 
+def open_edges(triangles: Int[np.ndarray, "N 3"]) -> int:
+    """Edges that keep a mesh from being watertight: not run through as often one way as the other."""
+    sides = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2).astype(np.int64)
+    base = int(sides.max()) + 1 if len(sides) else 1
+    low, high = sides.min(axis=1), sides.max(axis=1)
+    _, edge = np.unique(low * base + high, return_inverse=True)
+    balance = np.bincount(edge.reshape(-1), np.where(sides[:, 0] == low, 1, -1))
+    return int((balance != 0).sum())
+
+
 def inverted_triangles(
     rest: Float[np.ndarray, "V 3"], bent: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"],
     pairs: tuple[np.ndarray, np.ndarray] | None = None,

@@ -74,8 +74,9 @@ def retrieve(
     """The training shape for every part of a draw: near points, usable faces, neighbours from one shape if close.
 
     Each part keeps its ``candidates`` nearest usable training parts (ragged, tiny or unexplained ones are passed over);
-    then the sum of distances, BLEMISH times the parts' flaws and ``switch`` per touching pair from different shapes (more
-    for shapes on which these parts are unlike) is lowered part by part from several starts.  Mirrored parts come from one shape.
+    then the sum of distances, BLEMISH times the parts' flaws and ``switch`` per touching pair from different shapes
+    (more if these parts are unlike on the two) is lowered part by part from several starts.  Mirrored parts come from
+    one shape.
 
     ``fixed`` {part: training shape} are taken from there whatever they cost, if that shape has them, and the others are
     chosen to go with them.
