@@ -244,6 +244,9 @@ def synthesize(
     union: Annotated[
         bool | None, typer.Option("--union/--no-union", help="Make closed parts one solid (needs manifold3d).")
     ] = None,
+    colours: Annotated[
+        str | None, typer.Option(help="parts: one for each; sources: of the materials of the shapes (first: parts).")
+    ] = None,
     recipe: Annotated[list[Path] | None, typer.Option(help="Make these again: .recipe.json beside a mesh.")] = None,
     seed: Seed = None,
     jobs: Jobs = None,
@@ -263,7 +266,7 @@ def synthesize(
         return
     run_stage(
         path, "synthesize", as_json, jobs=jobs, restart=restart, out=str(out.absolute()), count=count, format=format,
-        temperature=temperature, route=route, union=union, seed=seed,
+        temperature=temperature, route=route, union=union, colours=colours, seed=seed,
     )  # fmt: skip
 
 

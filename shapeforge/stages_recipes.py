@@ -104,7 +104,8 @@ def remake_files(project: Project, recipes: Sequence[str | Path], out: str | Pat
     sources, written = sources_of(project), []
     for path, recipe in read:
         name = path.name.removesuffix(ENDING).rpartition(".")[0] or path.stem
-        write_labelled(Path(out), name, as_record(remake(project, recipe, sources)), fitted_part_names(project), ending)
+        made, colours = as_record(remake(project, recipe, sources)), recipe.get("colours", "parts")
+        write_labelled(Path(out), name, made, fitted_part_names(project), ending, colours)
         written.append(Path(out) / f"{name}.{ending}")
         write_recipe(written[-1], recipe)
     return written

@@ -29,6 +29,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
         "seed": 0,
         "route": "parts",
         "union": False,
+        "colours": "parts",
     },
 }
 """Options of every stage.  An option that is not given keeps the value of the project's last run of the stage."""

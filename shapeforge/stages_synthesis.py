@@ -19,6 +19,7 @@ from shapeforge.store import Project
 from shapeforge.store_arrays import clear_disk_errors, read_record, write_record, write_text
 
 FORMATS = ("glb", "ply", "obj", "stl")
+COLOURS = ("parts", "sources")
 ROUTES = ("parts", "surface")
 """Parts of training shapes, bent and put together; or a new surface around the points (§7)."""
 
@@ -31,6 +32,8 @@ def synthesize(task: Task) -> Iterator[Progress]:
     project, folder, options = task.project, task.folder, task.options
     if options["format"] not in FORMATS:
         raise StageError(f"format: wanted one of {', '.join(FORMATS)}, got {options['format']!r}")
+    if options["colours"] not in COLOURS:
+        raise StageError(f"colours: wanted one of {', '.join(COLOURS)}, got {options['colours']!r}")
     count = int(options["count"])
     if count < 1:
         raise StageError(f"count: wanted at least 1, got {count}")
@@ -54,11 +57,11 @@ def synthesize(task: Task) -> Iterator[Progress]:
         else:
             shape = make(points_of(machine, drawn.latents[i]), drawn.exists[i])
             drawing = {"seed": options["seed"], "number": i + 1, "temperature": float(options["temperature"])}
-            drawing |= {"route": options["route"], "union": options["union"]}
+            drawing |= {name: options[name] for name in ("route", "union", "colours")}
             made = as_record(shape) | {"recipe": recipe_of(project, drawn.latents[i], shape, **drawing)}
             write_record(path, made)
         write_recipe(out / f"{names[i]}.{options['format']}", made["recipe"])
-        write_labelled(out, names[i], made, part_names, options["format"])
+        write_labelled(out, names[i], made, part_names, options["format"], options["colours"])
         return made
 
     measures = {}
@@ -125,22 +128,31 @@ def completed(machine: Any, drawn: Any, sources: Any) -> Any:
 def as_record(shape: Any) -> dict[str, Any]:
     """A ``SynthesizedShape`` as plain arrays and numbers, triangles sorted by part as some formats have them."""
     order = np.argsort(shape.part, kind="stable")
-    return {
+    colours = {} if shape.colours is None else {"colours": np.asarray(shape.colours, np.uint8)[order]}
+    return colours | {
         "vertices": np.asarray(shape.vertices, np.float64), "triangles": np.asarray(shape.triangles, np.int32)[order],
         "part": np.asarray(shape.part, np.int32)[order], "part_names": list(shape.part_names),
         "sources": list(shape.sources), "measures": json.loads(json.dumps(shape.measures, default=float)),
     }  # fmt: skip
 
 
-def write_labelled(out: Path, name: str, made: dict[str, Any], part_names: PartNames, ending: str) -> None:
-    """Write a mesh and its ``.seg`` (one label id per triangle, in the order the file is read in) into ``out``."""
+def write_labelled(
+    out: Path, name: str, made: dict[str, Any], part_names: PartNames, ending: str, colours: str = "parts"
+) -> None:
+    """Write a mesh and its ``.seg`` (one label id per triangle, in the order the file is read in) into ``out``.
+
+    ``colours`` are those of the parts or of the sources (of the parts, where no source has any).
+    """
     from shapeforge.collection.meshes import read_mesh, write_mesh
 
     path = out / f"{name}.{ending}"
-    colours = part_colours(len(made["part_names"]))
+    own = made.get("colours") if colours == "sources" else None
+    palette = part_colours(len(made["part_names"]))
     with clear_disk_errors(path):
         out.mkdir(parents=True, exist_ok=True)
-        write_mesh(path, made["vertices"], made["triangles"], made["part"], tuple(made["part_names"]), colours)
+        write_mesh(
+            path, made["vertices"], made["triangles"], made["part"], tuple(made["part_names"]), palette, own
+        )  # fmt: skip
         part = made["part"]
         if ending == "glb":  # its nodes are read in an order of the reader's own: look which triangle came where
             centres = made["vertices"][made["triangles"]].mean(axis=1)

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 
+from shapeforge.collection.materials import PLAIN
 from shapeforge.synthesis.bending import BentPart, bend, count_folds, start_part
 from shapeforge.synthesis.contacts import (
     carry_along,
@@ -36,7 +37,8 @@ class SynthesizedShape:
 
     ``sources`` is "" for absent parts.  ``measures`` is ready for JSON: largest gap and gap per touching pair; how much
     deeper than on their training shapes parts are in each other, the most and per pair; symmetry error; distance of the
-    handles from the draw (all in diagonals); number of folded triangle pairs.
+    handles from the draw (all in diagonals); number of folded triangle pairs.  ``colours`` (N, 3) are those of the
+    sources' materials, PLAIN where a source has none; None where none has any.
     """
 
     vertices: Float[np.ndarray, "V 3"]
@@ -45,6 +47,7 @@ class SynthesizedShape:
     part_names: tuple[str, ...]
     sources: tuple[str, ...]
     measures: dict
+    colours: UInt8[np.ndarray, "N 3"] | None = None
 
 
 def synthesize(
@@ -100,13 +103,15 @@ def _faults(bent: Mapping[int, BentPart], apart: Mapping, deep: Mapping) -> floa
 def _merge(bent: Mapping[int, BentPart], told: tuple[Mapping, Mapping], sources: Sources) -> SynthesizedShape:
     """All parts in one mesh, without triangles that collapsed, and its measures."""
     vertices, triangles, part, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int32)], [np.zeros(0, np.int32)], 0
-    folds, miss = 0, []
+    folds, miss, colours = 0, [], [np.zeros((0, 3), np.uint8)]
     for l, piece in bent.items():
         moved = piece.vertices
         keep = good_triangles(moved, piece.source.triangles)
         vertices.append(moved)
         triangles.append((piece.source.triangles[keep] + count).astype(np.int32))
         part.append(np.full(int(keep.sum()), l, np.int32))
+        own = piece.source.colours
+        colours.append(np.tile(np.uint8(PLAIN), (int(keep.sum()), 1)) if own is None else own[keep])
         count += len(moved)
         folds += count_folds(piece, piece.x)
         known = np.isfinite(piece.drawn).all(axis=1)
@@ -129,6 +134,8 @@ def _merge(bent: Mapping[int, BentPart], told: tuple[Mapping, Mapping], sources:
         "n_triangles": int(sum(len(t) for t in triangles)),
     }
     taken = tuple(bent[l].source.shape if l in bent else "" for l in range(sources.n_parts))
+    coloured = any(piece.source.colours is not None for piece in bent.values())
     return SynthesizedShape(
-        np.concatenate(vertices), np.concatenate(triangles), np.concatenate(part), sources.part_names, taken, measures
-    )
+        np.concatenate(vertices), np.concatenate(triangles), np.concatenate(part), sources.part_names, taken, measures,
+        np.concatenate(colours) if coloured else None,
+    )  # fmt: skip

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from shapeforge.collection.shape import Shape
+from shapeforge.collection.shape import Mesh, Shape
 from shapeforge.collection.surface import closest_points
 from shapeforge.synthesis.cleaning import neighbours
 from shapeforge.synthesis.depths import depths, directions_into
@@ -53,7 +53,7 @@ class SourcePart:
 
     ``handles`` (C, 3) are the surface points that correspond to the template points ``template`` (C,);
     ``piece`` numbers the pieces of the part: connected components, those that touch counted as one;
-    ``anchors`` tells, for every other part that this one touches, where.
+    ``anchors`` tells, for every other part that this one touches, where; ``colours`` (N, 3) are the file's, if any.
     """
 
     shape: str
@@ -65,6 +65,7 @@ class SourcePart:
     handles: Float[np.ndarray, "C 3"]
     quality: PartQuality
     anchors: Mapping[int, Anchors] = field(default_factory=dict)
+    colours: UInt8[np.ndarray, "N 3"] | None = None
 
     @cached_property
     def graph(self) -> DeformationGraph:
@@ -217,9 +218,8 @@ def read_parts(
             f"faces: wanted one label per face record of {shape.name} ({mesh.n_faces}), got {len(faces)}. "
             "Do the labels belong to another version of the mesh?"
         )
-    cut = cut_mesh(
-        mesh, faces[mesh.face_of_triangle], np.asarray(positions, float), part, n_parts, painted=painted, smooth=smooth
-    )
+    labels = np.asarray(faces)[mesh.face_of_triangle]
+    cut = cut_mesh(mesh, labels, np.asarray(positions, float), part, n_parts, painted=painted, smooth=smooth)
     found: dict[int, SourcePart] = {}
     for l in range(n_parts):
         template = np.flatnonzero((part == l) & np.isfinite(positions).all(axis=1))
@@ -228,10 +228,25 @@ def read_parts(
         handles = np.asarray(positions[template], float)
         vertices, triangles, quality = cut_part(cut, l, handles)
         found[l] = SourcePart(
-            shape.name, l, vertices, triangles, touching_pieces(vertices, triangles), template, handles, quality
-        )
+            shape.name, l, vertices, triangles, touching_pieces(vertices, triangles), template, handles, quality,
+            colours=_colours_of(mesh, labels == l, vertices[triangles].mean(axis=1)),
+        )  # fmt: skip
     anchors = _find_anchors(found)
     return {l: replace(source, anchors=anchors[l]) for l, source in found.items()}
+
+
+def _colours_of(
+    mesh: Mesh, own: Bool[np.ndarray, " M"], centres: Float[np.ndarray, "N 3"]
+) -> UInt8[np.ndarray, "N 3"] | None:
+    """Colours of triangles with these ``centres``, cut from a mesh: those of the nearest of the part's ``own``.
+
+    What cleaning gave to the part has the colours around it, as lids have.
+    """
+    if mesh.colours is None:
+        return None
+    rows = np.flatnonzero(own) if own.any() else np.arange(len(own))
+    under = closest_points(as_mesh(mesh.vertices, mesh.triangles[rows]), centres)[1]
+    return mesh.colours[mesh.face_of_triangle[rows[under]]]
 
 
 def _find_anchors(parts: Mapping[int, SourcePart]) -> dict[int, dict[int, Anchors]]:

@@ -7,10 +7,11 @@ from types import ModuleType
 
 import numpy as np
 
+from shapeforge.collection.surface import closest_points
 from shapeforge.synthesis.assemble import SynthesizedShape
 from shapeforge.synthesis.cleaning import components, neighbours
 from shapeforge.synthesis.measures import open_edges
-from shapeforge.synthesis.surfaces import weld
+from shapeforge.synthesis.surfaces import as_mesh, weld
 
 REMEDY = "the route `surface` makes closed meshes of any draw"
 
@@ -61,8 +62,12 @@ def unite(shape: SynthesizedShape) -> SynthesizedShape:
     merged[np.asarray(mesh.merge_from_vert, np.int64)] = np.asarray(mesh.merge_to_vert, np.int64)
     used, corners = np.unique(merged[triangles], return_inverse=True)
     triangles = corners.reshape(-1, 3).astype(np.int32)
+    vertices, colours = vertices[used], shape.colours
+    if colours is not None:
+        centres = vertices[triangles].mean(axis=1)
+        colours = colours[closest_points(as_mesh(shape.vertices, shape.triangles), centres)[1]]
     measures = {**shape.measures, "n_triangles": len(triangles), "open_edges": open_edges(triangles)}
-    return replace(shape, vertices=vertices[used], triangles=triangles, part=part, measures=measures)
+    return replace(shape, vertices=vertices, triangles=triangles, part=part, measures=measures, colours=colours)
 
 
 def _wound_outwards(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
