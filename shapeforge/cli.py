@@ -247,6 +247,12 @@ def synthesize(
     colours: Annotated[
         str | None, typer.Option(help="parts: one for each; sources: of the materials of the shapes (first: parts).")
     ] = None,
+    take: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PART=SHAPE", help="Take this part from that shape (repeatable); none: forget earlier ones."
+        ),
+    ] = None,
     recipe: Annotated[list[Path] | None, typer.Option(help="Make these again: .recipe.json beside a mesh.")] = None,
     seed: Seed = None,
     jobs: Jobs = None,
@@ -267,6 +273,7 @@ def synthesize(
     run_stage(
         path, "synthesize", as_json, jobs=jobs, restart=restart, out=str(out.absolute()), count=count, format=format,
         temperature=temperature, route=route, union=union, colours=colours, seed=seed,
+        take=[] if take == ["none"] else take,
     )  # fmt: skip
 
 

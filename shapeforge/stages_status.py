@@ -30,6 +30,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
         "route": "parts",
         "union": False,
         "colours": "parts",
+        "take": [],
     },
 }
 """Options of every stage.  An option that is not given keeps the value of the project's last run of the stage."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -45,7 +45,8 @@ def synthesize(task: Task) -> Iterator[Progress]:
     drawn = draw(machine, mixture, count, rng=rng, temperature=float(options["temperature"]))
     sources = sources_of(project)
     make = mesh_maker(sources, options["route"], union=options["union"])
-    drawn = completed(machine, drawn, sources)
+    taken = parts_taken(options["take"], sources, options["route"])
+    drawn = completed(machine, drawn, sources, with_parts=taken, without=options.get("lacking", ()))
     names = [f"{project.name}_{i + 1:03d}" for i in range(count)]
     part_names = fitted_part_names(project)
     write_record(folder / "draws.zarr.zip", {"points": drawn.points, "exists": drawn.exists, "names": names})
@@ -55,7 +56,7 @@ def synthesize(task: Task) -> Iterator[Progress]:
         if path.is_file():
             made = read_record(path)[0]
         else:
-            shape = make(points_of(machine, drawn.latents[i]), drawn.exists[i])
+            shape = make(points_of(machine, drawn.latents[i]), drawn.exists[i], **({"fixed": taken} if taken else {}))
             drawing = {"seed": options["seed"], "number": i + 1, "temperature": float(options["temperature"])}
             drawing |= {name: options[name] for name in ("route", "union", "colours")}
             made = as_record(shape) | {"recipe": recipe_of(project, drawn.latents[i], shape, **drawing)}
@@ -111,14 +112,33 @@ def mesh_maker(sources: Any, route: str, *, union: bool = False) -> Callable[...
     return united
 
 
-def completed(machine: Any, drawn: Any, sources: Any) -> Any:
-    """The draws with the parts that they cannot do without (see ``synthesis.complete``)."""
+def parts_taken(asked: Sequence[str], sources: Any, route: str) -> dict[int, int]:
+    """{part: training shape} of ``PART=SHAPE`` words.  Raises StageError for other words, naming those known."""
+    taken = {}
+    for text in asked:
+        part, _, name = (word.strip() for word in text.partition("="))
+        for word, known in ((part, sources.part_names), (name, sources.names)):
+            if word not in known:
+                raise StageError(f"take: {text!r} is no PART=SHAPE; {word!r} is none of {', '.join(known)}")
+        taken[sources.part_names.index(part)] = sources.names.index(name)
+        if sources.part_of(sources.names.index(name), sources.part_names.index(part)) is None:
+            raise StageError(f"take: {name} has no {part} that could be taken")
+    if taken and route == "surface":
+        raise StageError("take: a new surface is made of no shape's parts. Use --route parts")
+    return taken
+
+
+def completed(
+    machine: Any, drawn: Any, sources: Any, *, with_parts: Iterable[int] = (), without: Collection[str] = ()
+) -> Any:
+    """The draws with the parts that they cannot do without (see ``synthesis.complete``), and those asked for."""
     from shapeforge.generative.draw import Draw
     from shapeforge.generative.inference import decode
     from shapeforge.synthesis.complete import completed_parts
 
-    having = sources.exists.mean(axis=0)
+    having = np.where(np.isin(sources.part_names, list(without)), 0.0, sources.exists.mean(axis=0))
     exists = np.stack([completed_parts(one, sources.touching, having) for one in drawn.exists])
+    exists[:, list(with_parts)] = True
     if np.array_equal(exists, drawn.exists):
         return drawn
     latents = replace(drawn.latents, exists=exists)

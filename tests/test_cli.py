@@ -208,6 +208,22 @@ def test_a_surface_from_scratch_is_closed_and_made_again(folder: Path, tmp_path:
     assert status == 1 and "parts, surface" in err
 
 
+def test_a_part_is_taken_from_the_shape_that_is_named(folder: Path, tmp_path: Path, capsys) -> None:
+    shutil.copytree(folder / "project", tmp_path / "project")
+    project = Project.open(tmp_path / "project")
+    line = ["synthesize", project.path, "--count", "2", "--format", "ply", "--out", tmp_path / "a"]
+    status, _, err = run(capsys, *line, "--take", f"seat={project.fit_names[3]}")
+    assert status == 0, err
+    seat = list(project.hierarchy().top.part_names).index("seat")
+    measures = json.loads((tmp_path / "a" / "measures.json").read_text())
+    assert [found["sources"][seat] for found in measures.values()] == [project.fit_names[3]] * 2
+    for asked, expected in (("seat=sofa", "sofa"), ("wing=chair_0000", "wing"), ("seat", "PART=SHAPE")):
+        status, _, err = run(capsys, *line, "--take", asked)
+        assert status == 1 and expected in err
+    status, _, err = run(capsys, *line, "--route", "surface")
+    assert status == 1 and "--route parts" in err
+
+
 @pytest.mark.parametrize(
     ("change", "expected"),
     [

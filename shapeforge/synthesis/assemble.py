@@ -52,12 +52,13 @@ class SynthesizedShape:
 
 def synthesize(
     points: Float[np.ndarray, "K 3"], exists: Bool[np.ndarray, " L"], sources: Sources, *, preview: bool = False,
-    shapes: Int[np.ndarray, " L"] | None = None, symmetric: bool = True,
+    shapes: Int[np.ndarray, " L"] | None = None, fixed: Mapping[int, int] | None = None, symmetric: bool = True,
 ) -> SynthesizedShape:  # fmt: skip
     """The mesh of one draw: ``points`` in normal coordinates (NaN where absent), ``exists`` per part.
 
     ``preview`` uses the quick solver and one look at the contacts: for a slider that moves.  ``shapes`` (index of a
     training shape per part, -1 none) replaces the retrieval: keep it while a slider moves and the parts don't flicker.
+    ``fixed`` {part: training shape} is for the retrieval, which then chooses the other parts to go with these.
     What the family has ``symmetric`` comes out so, whatever the draw.
     A part that no training shape offers is left out, its source "".
     """
@@ -69,7 +70,7 @@ def synthesize(
     if symmetric:
         points = sources.mirror.made_symmetric(points, sources.part)
     if shapes is None:
-        shapes = retrieve(points, exists, sources).shape
+        shapes = retrieve(points, exists, sources, fixed=fixed).shape
     bent: dict[int, BentPart] = {}
     for l in np.flatnonzero(exists & (shapes >= 0)):
         source = sources.part_of(int(shapes[l]), int(l))
