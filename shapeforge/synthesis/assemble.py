@@ -56,7 +56,7 @@ def synthesize(
 ) -> SynthesizedShape:  # fmt: skip
     """The mesh of one draw: ``points`` in normal coordinates (NaN where absent), ``exists`` per part.
 
-    ``preview`` uses the quick solver and one look at the contacts: for a slider that moves.  ``shapes`` (index of a
+    ``preview`` uses the quick solver and one look at the contacts, none at depths: for a slider that moves.  ``shapes`` (index of a
     training shape per part, -1 none) replaces the retrieval: keep it while a slider moves and the parts don't flicker.
     ``fixed`` {part: training shape} is for the retrieval, which then chooses the other parts to go with these.
     What the family has ``symmetric`` comes out so, whatever the draw.
@@ -86,13 +86,15 @@ def synthesize(
             break
         for l in moving:
             bent[l] = bend(carry_along(bent[l], held[l]), held[l], preview=preview)
-        touch = contact_gaps(bent, contacts), contact_depths(bent, contacts)
+        touch = contact_gaps(bent, contacts), {} if preview else contact_depths(bent, contacts)
         faults = 0.0 if preview else _faults(bent, *touch)
         if faults < least:
             best, least, told = dict(bent), faults, touch
         if faults <= GOOD * len(contacts):
             break
-    return _merge(best, told or (contact_gaps(best, contacts), contact_depths(best, contacts)), sources)
+    if told is None:
+        told = contact_gaps(best, contacts), {} if preview else contact_depths(best, contacts)
+    return _merge(best, told, sources)
 
 
 def _faults(bent: Mapping[int, BentPart], apart: Mapping, deep: Mapping) -> float:

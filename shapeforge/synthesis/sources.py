@@ -87,6 +87,11 @@ class SourcePart:
         """Basis (C, 4N) of the handles in ``graph``."""
         return self.graph.basis(self.handles)
 
+    @cached_property
+    def handle_normal(self) -> Float[np.ndarray, "M M"]:
+        """The handles' normal matrix (4N, 4N), all of one weight: it is the same for every draw."""
+        return (self.handle_rows.T @ self.handle_rows).toarray()
+
 
 @dataclass(frozen=True, eq=False)
 class Sources:
