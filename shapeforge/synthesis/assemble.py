@@ -56,8 +56,9 @@ def synthesize(
 ) -> SynthesizedShape:  # fmt: skip
     """The mesh of one draw: ``points`` in normal coordinates (NaN where absent), ``exists`` per part.
 
-    ``preview`` uses the quick solver and one look at the contacts, none at depths: for a slider that moves.  ``shapes`` (index of a
-    training shape per part, -1 none) replaces the retrieval: keep it while a slider moves and the parts don't flicker.
+    ``preview`` uses the quick solver and one look at the contacts, none at depths: for a slider that moves.
+    ``shapes`` (index of a training shape per part, -1 none) replaces the retrieval: keep it while a slider moves and
+    the parts don't flicker.
     ``fixed`` {part: training shape} is for the retrieval, which then chooses the other parts to go with these.
     What the family has ``symmetric`` comes out so, whatever the draw.
     A part that no training shape offers is left out, its source "".
