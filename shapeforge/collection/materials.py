@@ -10,7 +10,8 @@ from jaxtyping import UInt8
 
 PLAIN = (160, 160, 160)
 """Of faces without a material, or whose material has no colour."""
-_STATEMENT = re.compile(rb"^[ \t]*(f|usemtl|mtllib)[ \t]+([^\r\n]*)", re.MULTILINE)
+_LIBRARY = re.compile(rb"^[ \t]*mtllib[ \t]+([^\r\n]*)", re.MULTILINE)
+_STATEMENT = re.compile(rb"^[ \t]*(f|usemtl)[ \t]+([^\r\n]*)", re.MULTILINE)
 _MATERIAL = re.compile(r"^\s*(newmtl|Kd)\s+(.*?)\s*$", re.MULTILINE)
 
 
@@ -19,19 +20,18 @@ def obj_colours(path: Path, data: bytes, n_faces: int) -> UInt8[np.ndarray, "F 3
 
     The library is looked for beside ``path`` only, under the name that the file gives it or else the file's own.
     """
-    if b"usemtl" not in data:
+    known = {}
+    if b"usemtl" in data:
+        known = _library(path, [name.strip().decode("utf-8", "replace") for name in _LIBRARY.findall(data)])
+    if not known:
         return None
-    libraries, names, material = [], {b"": 0}, 0
-    of_face = []
+    names, material, of_face = {b"": 0}, 0, []
     for statement in _STATEMENT.finditer(data):
         word, rest = statement.groups()
         if word == b"f":
             of_face.append(material)
-        elif word == b"usemtl":
-            material = names.setdefault(rest.strip(), len(names))
         else:
-            libraries.append(rest.strip().decode("utf-8", "replace"))
-    known = _library(path, libraries)
+            material = names.setdefault(rest.strip(), len(names))
     found = [known.get(name.decode("utf-8", "replace")) for name in names]
     if len(of_face) != n_faces or not any(found[i] for i in set(of_face)):
         return None

@@ -100,10 +100,8 @@ class Orientations:
             part = np.concatenate([part, part[pairs[:, 0]]])
             pairs = _half_way(middles, None, owner)
             middles = np.concatenate([middles, middles[pairs].mean(axis=1)])
-            radii, owner = (
-                np.concatenate([radii, radii[pairs].mean(axis=1)]),
-                np.concatenate([owner, owner[pairs[:, 0]]]),
-            )
+            radii = np.concatenate([radii, radii[pairs].mean(axis=1)])
+            owner = np.concatenate([owner, owner[pairs[:, 0]]])
         return Cloud(p, n, part, _spacing(p, n, part)[0] if len(p) > 1 else np.zeros(len(p)), middles, radii)
 
     def _ask(self, points: np.ndarray, part: int, normals: np.ndarray, thickness: np.ndarray) -> None:
