@@ -297,7 +297,6 @@ def figures_of(made: list[SynthesizedShape], exists: np.ndarray, sources: Source
         "open_share": float(np.mean([open_share(mesh_of(s)) for s in made])),
         "mmd": like.mmd, "coverage": like.coverage, "one_nn": like.one_nn, "novelty_over_real": new.ratio,
         "distance_from_draw": float(np.mean([shape.measures["distance_from_draw"] for shape in made])),
-        "islands": float(np.mean([n_islands(s.vertices, s.triangles, s.part, sources.n_parts) for s in made])),
     }  # fmt: skip
     if "largest_gap" in made[0].measures:
         gaps = np.array([shape.measures["largest_gap"] for shape in made])
@@ -305,6 +304,7 @@ def figures_of(made: list[SynthesizedShape], exists: np.ndarray, sources: Source
             "gap_mean": float(gaps.mean()), "gap_over_.005": float((gaps > 0.005).mean()),
             "too_deep": float(np.mean([shape.measures["too_deep"] for shape in made])),
             "folds": float(np.mean([shape.measures["folded_triangles"] for shape in made])),
+            "islands": float(np.mean([n_islands(s.vertices, s.triangles, s.part, sources.n_parts) for s in made])),
         }  # fmt: skip
     return found
 
