@@ -3,8 +3,9 @@
     python -m benchmarks.synthesis_quality [--family chairs] [--count 40] [--draws 20] [--seed 0] [--json]
     python -m benchmarks.synthesis_quality --project demo/project [--draws 24]
 
-With ``--project`` meshes are made from draws of a learnt project, whose segmentations are those of its fit: once from
-parts cut along the labels as they are, once from parts cut cleanly, beside the same figures of the training shapes.
+With ``--project`` meshes are made from draws of a learnt project, whose segmentations are those of its fit: from parts
+cut along the labels as they are, from parts cut cleanly, from scratch (route `surface`), and as one solid where the
+parts allow (with manifold3d), beside the same figures of the training shapes.  ``--out`` writes contact sheets.
 
 Otherwise two kinds of draws: ``between`` lies half-way between two training shapes with the same parts, ``held out`` is
 a shape that the sources don't contain; both with Gaussian noise on every point, as a generative model would leave it.
@@ -17,11 +18,15 @@ import argparse
 import json
 import time
 from collections import OrderedDict
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_info
 
+from shapeforge.collection.colours import part_colours
 from shapeforge.collection.families import Generated, address_at, generate, position_of
 from shapeforge.collection.points import sample_points
 from shapeforge.collection.prepare import normal_frame
@@ -33,10 +38,13 @@ from shapeforge.store import Project
 from shapeforge.synthesis.assemble import SynthesizedShape, synthesize
 from shapeforge.synthesis.cleaning import clean_labels, components, neighbours
 from shapeforge.synthesis.measures import raggedness, symmetry_error
+from shapeforge.synthesis.oriented import Orientations
 from shapeforge.synthesis.retrieve import retrieve
 from shapeforge.synthesis.sources import FEWEST_POINTS, Sources, make_sources
+from shapeforge.synthesis.surface import synthesize_surface
 from shapeforge.synthesis.surfaces import as_mesh, weld
-from shapeforge.validation.plausibility import chamfer, contact_distance, novelty, plausibility
+from shapeforge.synthesis.union import solid_modeller, unite
+from shapeforge.validation.plausibility import chamfer, contact_distance, novelty, open_share, plausibility
 from shapeforge.validation.statistics import format_table
 
 ADDRESS_TOLERANCE = 0.15
@@ -226,8 +234,8 @@ def run(family_name: str, count: int, n_draws: int, seed: int) -> dict:
     }
 
 
-def from_project(path: str, n_draws: int, seed: int) -> dict:
-    """Figures of a project's draws with parts as labelled and cut cleanly, and of its training shapes."""
+def from_project(path: str, n_draws: int, seed: int, sheets: str | None = None) -> dict:
+    """Figures of a project's draws by every route, and of its training shapes."""
     project = Project.open(path)
     machine, mixture = project.machine(), project.mixture()
     if machine is None or mixture is None:
@@ -238,42 +246,102 @@ def from_project(path: str, n_draws: int, seed: int) -> dict:
     shapes = [project.shapes.named(name) for name in clean.names]
     real = [cloud(shape.mesh, rng) for shape in shapes]
     as_labelled = replace(clean, painted=frozenset(clean.names), smooth=False, _cache=OrderedDict())
+    makers = {
+        "as labelled": partial(synthesize, sources=as_labelled),
+        "cut cleanly": partial(synthesize, sources=clean),
+        "surface": partial(synthesize_surface, orientations=Orientations(clean)),
+    }
     result = {}
-    for name, sources in (("as labelled", as_labelled), ("cut cleanly", clean)):
-        made = [synthesize(np.asarray(p, float), e, sources) for p, e in zip(draws.points, draws.exists, strict=True)]
-        used = [
-            sources.part_of(sources.names.index(source), l)
-            for shape in made for l, source in enumerate(shape.sources) if source
-        ]  # fmt: skip
-        result[name] = {
-            "n": len(made),
-            "gap_mean": float(np.mean([shape.measures["largest_gap"] for shape in made])),
-            "gap_over_.005": float(np.mean([shape.measures["largest_gap"] > 0.005 for shape in made])),
-            "too_deep": float(np.mean([shape.measures["too_deep"] for shape in made])),
-            "contact_distance": mean_of([contact_distance(mesh_of(s), s.part, sources.touching) for s in made]),
-            "complete": float(np.mean([is_complete(s, e) for s, e in zip(made, draws.exists, strict=True)])),
-            "novelty_over_real": novelty(real, [cloud(mesh_of(s), rng) for s in made]).ratio,
-            "symmetry_error": float(np.mean([shape.measures["symmetry_error"] for shape in made])),
-            "folds": float(np.mean([shape.measures["folded_triangles"] for shape in made])),
-            "islands": float(np.mean([n_islands(s.vertices, s.triangles, s.part, sources.n_parts) for s in made])),
-            "raggedness": float(np.mean([part.quality.raggedness for part in used])),
-            "distance_from_draw": float(np.mean([shape.measures["distance_from_draw"] for shape in made])),
-        }
+    for name, make in makers.items():
+        begin = time.process_time()
+        made = [make(np.asarray(p, float), e) for p, e in zip(draws.points, draws.exists, strict=True)]
+        seconds = (time.process_time() - begin) / n_draws
+        result[name] = {"cpu_seconds": seconds, **figures_of(made, draws.exists, clean, real, rng)}
+        if sheets:
+            write_sheet(Path(sheets) / f"{project.name} {name}.png", made)
+        if name == "cut cleanly":
+            result[name]["raggedness"] = float(np.mean([
+                clean.part_of(clean.names.index(source), l).quality.raggedness
+                for shape in made for l, source in enumerate(shape.sources) if source
+            ]))  # fmt: skip
+            result[name]["united"] = share_united(made)
     labels = [np.asarray(l)[s.mesh.face_of_triangle] for s, l in zip(shapes, clean.face_labels, strict=True)]
     points = [p[np.isfinite(p).all(axis=1)] for p in np.asarray(clean.positions, float)]
     islands = [n_islands(s.mesh.vertices, s.mesh.triangles, l, clean.n_parts)
                for s, l in zip(shapes, labels, strict=True)]  # fmt: skip
     ragged = [raggedness(s.mesh, l, int(part)) for s, l in zip(shapes, labels, strict=True) for part in np.unique(l)]
+    on_mesh = [closest_points(s.mesh, p)[2].mean() for s, p in zip(shapes, points, strict=True)]
     result["training"] = {
         "n": len(shapes),
         "contact_distance": mean_of(
             [contact_distance(s.mesh, l, clean.touching) for s, l in zip(shapes, labels, strict=True)]
         ),
-        "symmetry_error": float(np.mean([symmetry_error(p) for p in points])),
+        "symmetry_error": float(np.mean([mirror_error(c, clean) for c in real])),
         "islands": float(np.mean(islands)),
         "raggedness": float(np.mean(ragged)),
+        "draw_to_surface": float(np.mean(on_mesh)),
+        "open_share": float(np.mean([open_share(s.mesh) for s in shapes])),
     }
     return result
+
+
+def figures_of(made: list[SynthesizedShape], exists: np.ndarray, sources: Sources, real: list, rng) -> dict:
+    """The figures that all routes have, and those of parts where there are any."""
+    clouds = [cloud(mesh_of(shape), rng) for shape in made]
+    like, new = plausibility(real, clouds), novelty(real, clouds)
+    found = {
+        "n": len(made),
+        "contact_distance": mean_of([contact_distance(mesh_of(s), s.part, sources.touching) for s in made]),
+        "complete": float(np.mean([has_parts(s, e) for s, e in zip(made, exists, strict=True)])),
+        "symmetry_error": float(np.mean([mirror_error(c, sources) for c in clouds])),
+        "open_share": float(np.mean([open_share(mesh_of(s)) for s in made])),
+        "mmd": like.mmd, "coverage": like.coverage, "one_nn": like.one_nn, "novelty_over_real": new.ratio,
+        "distance_from_draw": float(np.mean([shape.measures["distance_from_draw"] for shape in made])),
+    }  # fmt: skip
+    if "largest_gap" in made[0].measures:
+        gaps = np.array([shape.measures["largest_gap"] for shape in made])
+        found |= {
+            "gap_mean": float(gaps.mean()), "gap_over_.005": float((gaps > 0.005).mean()),
+            "too_deep": float(np.mean([shape.measures["too_deep"] for shape in made])),
+            "folds": float(np.mean([shape.measures["folded_triangles"] for shape in made])),
+            "islands": float(np.mean([n_islands(s.vertices, s.triangles, s.part, sources.n_parts) for s in made])),
+        }  # fmt: skip
+    return found
+
+
+def mirror_error(points: np.ndarray, sources: Sources) -> float:
+    """Symmetry error about the family's mirror, through the middle of the points' box."""
+    along = points @ sources.mirror.normal
+    return symmetry_error(points, (sources.mirror.normal, float(along.min() + along.max()) / 2))
+
+
+def has_parts(shape: SynthesizedShape, exists: np.ndarray) -> bool:
+    """Whether the mesh has surface of every part that the draw names."""
+    return bool(np.isin(np.flatnonzero(exists), shape.part).all())
+
+
+def share_united(made: list[SynthesizedShape]) -> float | None:
+    """Share of the shapes whose parts are closed and become one solid; None without manifold3d."""
+    try:
+        solid_modeller()
+    except ValueError:
+        return None
+    done = 0
+    for shape in made:
+        with suppress(ValueError):
+            done += unite(shape).measures["open_edges"] == 0
+    return done / len(made)
+
+
+def write_sheet(path: Path, made: list[SynthesizedShape]) -> None:
+    """A picture of all shapes, to be looked at."""
+    from PIL import Image
+
+    from shapeforge.viewer.pictures import contact_sheet, thumbnail
+
+    pictures = [thumbnail(mesh_of(s), part_colours(len(s.part_names))[s.part], 220, "light") for s in made]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(contact_sheet(pictures, [], None, "light")).save(path)
 
 
 def n_islands(vertices: np.ndarray, triangles: np.ndarray, label: np.ndarray, n_parts: int) -> int:
@@ -290,6 +358,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--family", choices=("chairs", "airplanes", "both"), default="both")
     parser.add_argument("--project", help="a project with a learnt machine, instead of generated families")
+    parser.add_argument("--out", help="with --project: folder for contact sheets")
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--draws", type=int, default=12)
     parser.add_argument("--seed", type=int, default=0)
@@ -297,14 +366,14 @@ def main() -> None:
     options = parser.parse_args()
     families = ("chairs", "airplanes") if options.family == "both" else (options.family,)
     if options.project:
-        figures = {options.project: from_project(options.project, options.draws, options.seed)}
+        figures = {options.project: from_project(options.project, options.draws, options.seed, options.out)}
         families = ()
     else:
         figures = {}
     figures |= {name: run(name, options.count, options.draws, options.seed) for name in families}
     if not options.json:
         for name, found in figures.items():
-            columns = list(next(iter(found.values())))
+            columns = list(dict.fromkeys(figure for figures in found.values() for figure in figures))
             rows = [
                 [figure, *(("–" if found[kind].get(figure) is None else found[kind][figure]) for kind in found)]
                 for figure in columns

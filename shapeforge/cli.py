@@ -242,6 +242,22 @@ def synthesize(
     count: Annotated[int | None, typer.Option(min=1, help="How many (first run: 20).")] = None,
     format: Annotated[str | None, typer.Option(help="glb, ply, obj or stl (first run: glb).")] = None,
     temperature: Annotated[float | None, typer.Option(help="Below 1 typical shapes, above 1 unusual ones.")] = None,
+    route: Annotated[
+        str | None,
+        typer.Option(help="parts: of training shapes, bent; surface: a new closed one from the points (first: parts)."),
+    ] = None,
+    union: Annotated[
+        bool | None, typer.Option("--union/--no-union", help="Make closed parts one solid (needs manifold3d).")
+    ] = None,
+    colours: Annotated[
+        str | None, typer.Option(help="parts: one for each; sources: of the materials of the shapes (first: parts).")
+    ] = None,
+    take: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PART=SHAPE", help="Take this part from that shape (repeatable); none: forget earlier ones."
+        ),
+    ] = None,
     recipe: Annotated[list[Path] | None, typer.Option(help="Make these again: .recipe.json beside a mesh.")] = None,
     seed: Seed = None,
     jobs: Jobs = None,
@@ -261,7 +277,8 @@ def synthesize(
         return
     run_stage(
         path, "synthesize", as_json, jobs=jobs, restart=restart, out=str(out.absolute()), count=count, format=format,
-        temperature=temperature, seed=seed,
+        temperature=temperature, route=route, union=union, colours=colours, seed=seed,
+        take=[] if take == ["none"] else take,
     )  # fmt: skip
 
 

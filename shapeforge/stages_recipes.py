@@ -59,8 +59,7 @@ def remake(project: Project, recipe: Mapping[str, Any], sources: Any = None) -> 
     Raises StageError if the project has another machine than the recipe's, or lacks its parts or shapes.
     """
     from shapeforge.generative.inference import Latents
-    from shapeforge.stages_synthesis import sources_of
-    from shapeforge.synthesis.assemble import synthesize
+    from shapeforge.stages_synthesis import mesh_maker, sources_of
 
     machine = project.machine()
     if machine is None or project.machine_id != recipe["machine"] or project.fit_id != recipe["fit"]:
@@ -78,7 +77,9 @@ def remake(project: Project, recipe: Mapping[str, Any], sources: Any = None) -> 
     shapes = np.array([sources.names.index(name) if name else -1 for name in taken])
     with threadpool_limits(1, "blas"):  # as the stage does it: sums on several threads round otherwise
         points = points_of(machine, Latents(hidden, exists[None]))
-        return synthesize(points, exists, sources, shapes=shapes)
+        route = recipe.get("route", "parts")
+        make = mesh_maker(sources, route, union=recipe.get("union", False))
+        return make(points, exists) if route == "surface" else make(points, exists, shapes=shapes)
 
 
 def points_of(machine: Any, latents: Any) -> Float[np.ndarray, "K 3"]:
@@ -103,7 +104,8 @@ def remake_files(project: Project, recipes: Sequence[str | Path], out: str | Pat
     sources, written = sources_of(project), []
     for path, recipe in read:
         name = path.name.removesuffix(ENDING).rpartition(".")[0] or path.stem
-        write_labelled(Path(out), name, as_record(remake(project, recipe, sources)), fitted_part_names(project), ending)
+        made, colours = as_record(remake(project, recipe, sources)), recipe.get("colours", "parts")
+        write_labelled(Path(out), name, made, fitted_part_names(project), ending, colours)
         written.append(Path(out) / f"{name}.{ending}")
         write_recipe(written[-1], recipe)
     return written

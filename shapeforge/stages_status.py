@@ -21,7 +21,17 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     "fit": {"rounds": 10, "inner": 3, "seed": 0, "warm": False},
     "learn": {"epochs": None, "seed": 0},
     "refine": {"alternations": 3, "seed": 0},
-    "synthesize": {"count": 20, "temperature": 1.0, "format": "glb", "out": None, "seed": 0},
+    "synthesize": {
+        "count": 20,
+        "temperature": 1.0,
+        "format": "glb",
+        "out": None,
+        "seed": 0,
+        "route": "parts",
+        "union": False,
+        "colours": "parts",
+        "take": [],
+    },
 }
 """Options of every stage.  An option that is not given keeps the value of the project's last run of the stage."""
 

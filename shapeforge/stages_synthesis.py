@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +19,21 @@ from shapeforge.store import Project
 from shapeforge.store_arrays import clear_disk_errors, read_record, write_record, write_text
 
 FORMATS = ("glb", "ply", "obj", "stl")
+COLOURS = ("parts", "sources")
+ROUTES = ("parts", "surface")
+"""Parts of training shapes, bent and put together; or a new surface around the points (§7)."""
 
 
 def synthesize(task: Task) -> Iterator[Progress]:
     """``count`` new shapes: drawn, made of retrieved and bent parts, written as labelled meshes to ``out``."""
     from shapeforge.generative.draw import draw
     from shapeforge.stages_recipes import points_of, recipe_of, write_recipe
-    from shapeforge.synthesis.assemble import synthesize as synthesize_mesh
 
     project, folder, options = task.project, task.folder, task.options
     if options["format"] not in FORMATS:
         raise StageError(f"format: wanted one of {', '.join(FORMATS)}, got {options['format']!r}")
+    if options["colours"] not in COLOURS:
+        raise StageError(f"colours: wanted one of {', '.join(COLOURS)}, got {options['colours']!r}")
     count = int(options["count"])
     if count < 1:
         raise StageError(f"count: wanted at least 1, got {count}")
@@ -39,7 +44,9 @@ def synthesize(task: Task) -> Iterator[Progress]:
     rng = np.random.default_rng(options["seed"])
     drawn = draw(machine, mixture, count, rng=rng, temperature=float(options["temperature"]))
     sources = sources_of(project)
-    drawn = completed(machine, drawn, sources)
+    make = mesh_maker(sources, options["route"], union=options["union"])
+    taken = parts_taken(options["take"], sources, options["route"])
+    drawn = completed(machine, drawn, sources, with_parts=taken, without=options.get("lacking", ()))
     names = [f"{project.name}_{i + 1:03d}" for i in range(count)]
     part_names = fitted_part_names(project)
     write_record(folder / "draws.zarr.zip", {"points": drawn.points, "exists": drawn.exists, "names": names})
@@ -49,12 +56,13 @@ def synthesize(task: Task) -> Iterator[Progress]:
         if path.is_file():
             made = read_record(path)[0]
         else:
-            shape = synthesize_mesh(points_of(machine, drawn.latents[i]), drawn.exists[i], sources)
+            shape = make(points_of(machine, drawn.latents[i]), drawn.exists[i], **({"fixed": taken} if taken else {}))
             drawing = {"seed": options["seed"], "number": i + 1, "temperature": float(options["temperature"])}
+            drawing |= {name: options[name] for name in ("route", "union", "colours")}
             made = as_record(shape) | {"recipe": recipe_of(project, drawn.latents[i], shape, **drawing)}
             write_record(path, made)
         write_recipe(out / f"{names[i]}.{options['format']}", made["recipe"])
-        write_labelled(out, names[i], made, part_names, options["format"])
+        write_labelled(out, names[i], made, part_names, options["format"], options["colours"])
         return made
 
     measures = {}
@@ -65,17 +73,72 @@ def synthesize(task: Task) -> Iterator[Progress]:
         write_part_names(out / "labels.json", part_names)
     write_text(out / "measures.json", json.dumps(measures, indent=1))
     text = f"{count} shapes in {out}"
+    apart = sum("not_united" in found for found in measures.values())
+    if apart:
+        text += f"; {apart} of them in parts that are not closed and cannot be united (why: measures.json)"
     task.summary |= {"text": text, "count": count, "out": str(out), "names": names}
     yield task.progress("synthesize", count, count, text, state=drawn)
 
 
-def completed(machine: Any, drawn: Any, sources: Any) -> Any:
-    """The draws with the parts that join what would fall asunder (see ``synthesis.complete``)."""
+def mesh_maker(sources: Any, route: str, *, union: bool = False) -> Callable[..., Any]:
+    """What makes a ``SynthesizedShape`` of points (K, 3) and parts (L,): of retrieved parts, or a new surface.
+
+    With ``union`` parts become one watertight solid where they are closed; where they are not, its measures say why.
+    Keyword arguments go on to the route.  Raises StageError for an unknown route or a missing package.
+    """
+    from shapeforge.synthesis.assemble import synthesize as from_parts
+    from shapeforge.synthesis.oriented import Orientations
+    from shapeforge.synthesis.surface import synthesize_surface
+    from shapeforge.synthesis.union import solid_modeller, unite
+
+    if route not in ROUTES:
+        raise StageError(f"route: wanted one of {', '.join(ROUTES)}, got {route!r}")
+    if route == "surface":
+        return partial(synthesize_surface, orientations=Orientations(sources))
+    if not union:
+        return partial(from_parts, sources=sources)
+    try:
+        solid_modeller()
+    except ValueError as error:
+        raise StageError(str(error)) from None
+
+    def united(points: np.ndarray, exists: np.ndarray, **more: Any) -> Any:
+        shape = from_parts(points, exists, sources, **more)
+        try:
+            return unite(shape)
+        except ValueError as error:
+            return replace(shape, measures={**shape.measures, "not_united": str(error)})
+
+    return united
+
+
+def parts_taken(asked: Sequence[str], sources: Any, route: str) -> dict[int, int]:
+    """{part: training shape} of ``PART=SHAPE`` words.  Raises StageError for other words, naming those known."""
+    taken = {}
+    for text in asked:
+        part, _, name = (word.strip() for word in text.partition("="))
+        for word, known in ((part, sources.part_names), (name, sources.names)):
+            if word not in known:
+                raise StageError(f"take: {text!r} is no PART=SHAPE; {word!r} is none of {', '.join(known)}")
+        taken[sources.part_names.index(part)] = sources.names.index(name)
+        if sources.part_of(sources.names.index(name), sources.part_names.index(part)) is None:
+            raise StageError(f"take: {name} has no {part} that could be taken")
+    if taken and route == "surface":
+        raise StageError("take: a new surface is made of no shape's parts. Use --route parts")
+    return taken
+
+
+def completed(
+    machine: Any, drawn: Any, sources: Any, *, with_parts: Iterable[int] = (), without: Collection[str] = ()
+) -> Any:
+    """The draws with the parts that they cannot do without (see ``synthesis.complete``), and those asked for."""
     from shapeforge.generative.draw import Draw
     from shapeforge.generative.inference import decode
-    from shapeforge.synthesis.complete import bridging_parts
+    from shapeforge.synthesis.complete import completed_parts
 
-    exists = np.stack([bridging_parts(one, sources.touching) for one in drawn.exists])
+    having = np.where(np.isin(sources.part_names, list(without)), 0.0, sources.exists.mean(axis=0))
+    exists = np.stack([completed_parts(one, sources.touching, having) for one in drawn.exists])
+    exists[:, list(with_parts)] = True
     if np.array_equal(exists, drawn.exists):
         return drawn
     latents = replace(drawn.latents, exists=exists)
@@ -85,22 +148,31 @@ def completed(machine: Any, drawn: Any, sources: Any) -> Any:
 def as_record(shape: Any) -> dict[str, Any]:
     """A ``SynthesizedShape`` as plain arrays and numbers, triangles sorted by part as some formats have them."""
     order = np.argsort(shape.part, kind="stable")
-    return {
+    colours = {} if shape.colours is None else {"colours": np.asarray(shape.colours, np.uint8)[order]}
+    return colours | {
         "vertices": np.asarray(shape.vertices, np.float64), "triangles": np.asarray(shape.triangles, np.int32)[order],
         "part": np.asarray(shape.part, np.int32)[order], "part_names": list(shape.part_names),
         "sources": list(shape.sources), "measures": json.loads(json.dumps(shape.measures, default=float)),
     }  # fmt: skip
 
 
-def write_labelled(out: Path, name: str, made: dict[str, Any], part_names: PartNames, ending: str) -> None:
-    """Write a mesh and its ``.seg`` (one label id per triangle, in the order the file is read in) into ``out``."""
+def write_labelled(
+    out: Path, name: str, made: dict[str, Any], part_names: PartNames, ending: str, colours: str = "parts"
+) -> None:
+    """Write a mesh and its ``.seg`` (one label id per triangle, in the order the file is read in) into ``out``.
+
+    ``colours`` are those of the parts or of the sources (of the parts, where no source has any).
+    """
     from shapeforge.collection.meshes import read_mesh, write_mesh
 
     path = out / f"{name}.{ending}"
-    colours = inks_of(made["part_names"], part_names.colours)
+    own = made.get("colours") if colours == "sources" else None
+    palette = inks_of(made["part_names"], part_names.colours)
     with clear_disk_errors(path):
         out.mkdir(parents=True, exist_ok=True)
-        write_mesh(path, made["vertices"], made["triangles"], made["part"], tuple(made["part_names"]), colours)
+        write_mesh(
+            path, made["vertices"], made["triangles"], made["part"], tuple(made["part_names"]), palette, own
+        )  # fmt: skip
         part = made["part"]
         if ending == "glb":  # its nodes are read in an order of the reader's own: look which triangle came where
             centres = made["vertices"][made["triangles"]].mean(axis=1)

@@ -191,6 +191,39 @@ def test_a_recipe_makes_the_same_mesh_again(folder: Path, tmp_path: Path, capsys
         assert (tmp_path / labels).read_bytes() == (folder / "new" / labels).read_bytes()
 
 
+def test_a_surface_from_scratch_is_closed_and_made_again(folder: Path, tmp_path: Path, capsys) -> None:
+    shutil.copytree(folder / "project", tmp_path / "project")
+    line = ["synthesize", tmp_path / "project", "--count", "1", "--format", "ply"]
+    status, _, err = run(capsys, *line, "--route", "surface", "--out", tmp_path / "a")
+    assert status == 0, err
+    (recipe,) = (tmp_path / "a").glob("*.recipe.json")
+    (measures,) = json.loads((tmp_path / "a" / "measures.json").read_text()).values()
+    assert measures["open_edges"] == 0 and not any(measures["sources"])
+    assert json.loads(recipe.read_text())["route"] == "surface"
+    status, _, err = run(capsys, *line, "--recipe", recipe, "--out", tmp_path / "b")
+    assert status == 0, err
+    mesh = recipe.name.removesuffix(".recipe.json")
+    assert (tmp_path / "b" / mesh).read_bytes() == (tmp_path / "a" / mesh).read_bytes()
+    status, _, err = run(capsys, *line, "--route", "magic", "--out", tmp_path / "c")
+    assert status == 1 and "parts, surface" in err
+
+
+def test_a_part_is_taken_from_the_shape_that_is_named(folder: Path, tmp_path: Path, capsys) -> None:
+    shutil.copytree(folder / "project", tmp_path / "project")
+    project = Project.open(tmp_path / "project")
+    line = ["synthesize", project.path, "--count", "2", "--format", "ply", "--out", tmp_path / "a"]
+    status, _, err = run(capsys, *line, "--take", f"seat={project.fit_names[3]}")
+    assert status == 0, err
+    seat = list(project.hierarchy().top.part_names).index("seat")
+    measures = json.loads((tmp_path / "a" / "measures.json").read_text())
+    assert [found["sources"][seat] for found in measures.values()] == [project.fit_names[3]] * 2
+    for asked, expected in (("seat=sofa", "sofa"), ("wing=chair_0000", "wing"), ("seat", "PART=SHAPE")):
+        status, _, err = run(capsys, *line, "--take", asked)
+        assert status == 1 and expected in err
+    status, _, err = run(capsys, *line, "--route", "surface")
+    assert status == 1 and "--route parts" in err
+
+
 @pytest.mark.parametrize(
     ("change", "expected"),
     [

@@ -9,12 +9,14 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from shapeforge.collection import _kernels_polygons as kernels
+from shapeforge.collection.materials import obj_colours
 from shapeforge.collection.mesh_files import write_mesh
 from shapeforge.collection.records import CUT_SHORT, EXPORT_AGAIN, MeshError, Records, read_obj, read_off, read_ply
 from shapeforge.collection.shape import Mesh
@@ -47,7 +49,8 @@ def read_mesh(path: str | Path) -> Mesh:
     if not data.strip():
         raise MeshError(path, "the file is empty", CUT_SHORT)
     if ending in RECORD_READERS:
-        return _checked(path, RECORD_READERS[ending](path, data))
+        mesh = _checked(path, RECORD_READERS[ending](path, data))
+        return mesh if ending != ".obj" else replace(mesh, colours=obj_colours(path, data, mesh.n_faces))
     return _checked(path, _read_triangles(path, ending[1:], data))
 
 

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,8 @@ class Frame:
 class Mesh:
     """Polygon records, triangulated, with the way back: face ``k`` is the k-th face record of the file.
 
-    Degenerate records keep their number: a record may own no triangle at all.
+    Degenerate records keep their number: a record may own no triangle at all.  ``colours`` (n_faces, 3), red, green,
+    blue, are those of the file's materials, where it has any.
     """
 
     vertices: Float[np.ndarray, "V 3"]
@@ -43,6 +44,7 @@ class Mesh:
     face_of_triangle: Int[np.ndarray, " N"]
     n_faces: int
     source: str = ""
+    colours: UInt8[np.ndarray, "F 3"] | None = None
 
     @cached_property
     def triangle_areas(self) -> Float[np.ndarray, " N"]:
@@ -85,7 +87,7 @@ class Mesh:
 
     def moved(self, vertices: Float[np.ndarray, "V 3"]) -> Mesh:
         """The same connectivity with other vertex positions."""
-        return Mesh(vertices, self.triangles, self.face_of_triangle, self.n_faces, self.source)
+        return Mesh(vertices, self.triangles, self.face_of_triangle, self.n_faces, self.source, self.colours)
 
 
 @dataclass(frozen=True, eq=False)

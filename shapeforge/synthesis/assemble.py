@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 
+from shapeforge.collection.materials import PLAIN
 from shapeforge.synthesis.bending import BentPart, bend, count_folds, start_part
 from shapeforge.synthesis.contacts import (
     carry_along,
@@ -36,7 +37,8 @@ class SynthesizedShape:
 
     ``sources`` is "" for absent parts.  ``measures`` is ready for JSON: largest gap and gap per touching pair; how much
     deeper than on their training shapes parts are in each other, the most and per pair; symmetry error; distance of the
-    handles from the draw (all in diagonals); number of folded triangle pairs.
+    handles from the draw (all in diagonals); number of folded triangle pairs.  ``colours`` (N, 3) are those of the
+    sources' materials, PLAIN where a source has none; None where none has any.
     """
 
     vertices: Float[np.ndarray, "V 3"]
@@ -45,16 +47,20 @@ class SynthesizedShape:
     part_names: tuple[str, ...]
     sources: tuple[str, ...]
     measures: dict
+    colours: UInt8[np.ndarray, "N 3"] | None = None
 
 
 def synthesize(
     points: Float[np.ndarray, "K 3"], exists: Bool[np.ndarray, " L"], sources: Sources, *, preview: bool = False,
-    shapes: Int[np.ndarray, " L"] | None = None,
+    shapes: Int[np.ndarray, " L"] | None = None, fixed: Mapping[int, int] | None = None, symmetric: bool = True,
 ) -> SynthesizedShape:  # fmt: skip
     """The mesh of one draw: ``points`` in normal coordinates (NaN where absent), ``exists`` per part.
 
-    ``preview`` uses the quick solver and one look at the contacts: for a slider that moves.  ``shapes`` (index of a
-    training shape per part, -1 none) replaces the retrieval: keep it while a slider moves and the parts don't flicker.
+    ``preview`` uses the quick solver and one look at the contacts, none at depths: for a slider that moves.
+    ``shapes`` (index of a training shape per part, -1 none) replaces the retrieval: keep it while a slider moves and
+    the parts don't flicker.
+    ``fixed`` {part: training shape} is for the retrieval, which then chooses the other parts to go with these.
+    What the family has ``symmetric`` comes out so, whatever the draw.
     A part that no training shape offers is left out, its source "".
     """
     if points.shape != (len(sources.part), 3) or exists.shape != (sources.n_parts,):
@@ -62,8 +68,10 @@ def synthesize(
             f"points, exists: wanted ({len(sources.part)}, 3) and ({sources.n_parts},), got {points.shape} and "
             f"{exists.shape}. Do the draw and the sources come from the same fit?"
         )
+    if symmetric:
+        points = sources.mirror.made_symmetric(points, sources.part)
     if shapes is None:
-        shapes = retrieve(points, exists, sources).shape
+        shapes = retrieve(points, exists, sources, fixed=fixed).shape
     bent: dict[int, BentPart] = {}
     for l in np.flatnonzero(exists & (shapes >= 0)):
         source = sources.part_of(int(shapes[l]), int(l))
@@ -79,13 +87,15 @@ def synthesize(
             break
         for l in moving:
             bent[l] = bend(carry_along(bent[l], held[l]), held[l], preview=preview)
-        touch = contact_gaps(bent, contacts), contact_depths(bent, contacts)
+        touch = contact_gaps(bent, contacts), {} if preview else contact_depths(bent, contacts)
         faults = 0.0 if preview else _faults(bent, *touch)
         if faults < least:
             best, least, told = dict(bent), faults, touch
         if faults <= GOOD * len(contacts):
             break
-    return _merge(best, told or (contact_gaps(best, contacts), contact_depths(best, contacts)), sources)
+    if told is None:
+        told = contact_gaps(best, contacts), {} if preview else contact_depths(best, contacts)
+    return _merge(best, told, sources)
 
 
 def _faults(bent: Mapping[int, BentPart], apart: Mapping, deep: Mapping) -> float:
@@ -97,13 +107,15 @@ def _faults(bent: Mapping[int, BentPart], apart: Mapping, deep: Mapping) -> floa
 def _merge(bent: Mapping[int, BentPart], told: tuple[Mapping, Mapping], sources: Sources) -> SynthesizedShape:
     """All parts in one mesh, without triangles that collapsed, and its measures."""
     vertices, triangles, part, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int32)], [np.zeros(0, np.int32)], 0
-    folds, miss = 0, []
+    folds, miss, colours = 0, [], [np.zeros((0, 3), np.uint8)]
     for l, piece in bent.items():
         moved = piece.vertices
         keep = good_triangles(moved, piece.source.triangles)
         vertices.append(moved)
         triangles.append((piece.source.triangles[keep] + count).astype(np.int32))
         part.append(np.full(int(keep.sum()), l, np.int32))
+        own = piece.source.colours
+        colours.append(np.tile(np.uint8(PLAIN), (int(keep.sum()), 1)) if own is None else own[keep])
         count += len(moved)
         folds += count_folds(piece, piece.x)
         known = np.isfinite(piece.drawn).all(axis=1)
@@ -111,18 +123,23 @@ def _merge(bent: Mapping[int, BentPart], told: tuple[Mapping, Mapping], sources:
     names = sources.part_names
     gaps = {f"{names[l]} – {names[other]}": gap for (l, other), gap in told[0].items()}
     deep = {f"{names[l]} – {names[other]}": d for (l, other), d in told[1].items()}
-    handles = [node for piece in bent.values() for node in piece.source.handle_rows @ piece.x]
+    placed = np.full((len(sources.part), 3), np.nan)
+    for piece in bent.values():
+        placed[piece.source.template] = piece.source.handle_rows @ piece.x
+    plane = sources.mirror.normal, sources.mirror.place(placed, sources.part)
     measures = {
         "largest_gap": max(gaps.values(), default=0.0),
         "gaps": gaps,
         "too_deep": max(deep.values(), default=0.0),
         "depths": deep,
-        "symmetry_error": symmetry_error(np.array(handles)) if handles else None,
+        "symmetry_error": symmetry_error(placed[np.isfinite(placed).all(axis=1)], plane) if bent else None,
         "folded_triangles": folds,
         "distance_from_draw": float(np.concatenate(miss).mean()) if miss else None,
         "n_triangles": int(sum(len(t) for t in triangles)),
     }
     taken = tuple(bent[l].source.shape if l in bent else "" for l in range(sources.n_parts))
+    coloured = any(piece.source.colours is not None for piece in bent.values())
     return SynthesizedShape(
-        np.concatenate(vertices), np.concatenate(triangles), np.concatenate(part), sources.part_names, taken, measures
-    )
+        np.concatenate(vertices), np.concatenate(triangles), np.concatenate(part), sources.part_names, taken, measures,
+        np.concatenate(colours) if coloured else None,
+    )  # fmt: skip

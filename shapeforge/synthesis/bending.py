@@ -85,17 +85,20 @@ def bend(part: BentPart, held: Mapping[int, np.ndarray], *, preview: bool) -> Be
     known = np.isfinite(part.targets).all(axis=1)
     rows, targets = [source.handle_rows[known]], [part.targets[known]]
     strength = [even_strength(int(known.sum()), len(source.graph.nodes))]
+    normal = strength[0][0] * source.handle_normal if known.all() else None
     if held:
         vertices = np.fromiter(held, np.int64)
         rows.append(source.rows[vertices])
         targets.append(np.stack([held[v] for v in held]))
         strength.append(np.full(len(held), ANCHOR_STRENGTH))
+        if normal is not None:
+            normal += ANCHOR_STRENGTH * (rows[1].T @ rows[1]).toarray()
     matrix = vstack(rows, format="csr")
     fewest, best = np.inf, part.x
     for factor in STIFFER[:1] if preview else STIFFER:
         weights = Weights(regular=factor * Weights.regular)
         problem = Problem(
-            source.graph, matrix, np.concatenate(targets), np.concatenate(strength), part.rest, weights
+            source.graph, matrix, np.concatenate(targets), np.concatenate(strength), part.rest, weights, normal
         )  # fmt: skip
         x = part.x
         for state in (solve_quickly if preview else solve_exactly)(problem, x):

@@ -13,6 +13,18 @@ USUALLY = 0.5
 AT_TIMES = 0.25
 """Present parts count as joined if they touch on at least this share of the shapes that have both."""
 MOST_ADDED = 2
+ALMOST_ALL = 0.95
+"""A part that at least this share of the shapes have is missing from the others by a slip of the fit."""
+
+
+def completed_parts(
+    exists: Bool[np.ndarray, " L"], touching: Float[np.ndarray, "L L"], having: Float[np.ndarray, " L"]
+) -> Bool[np.ndarray, " L"]:
+    """The parts of a draw, with those that almost all shapes have and those that join what falls asunder; (L,).
+
+    ``having`` (L,) is the share of the training shapes that have each part.
+    """
+    return bridging_parts(np.asarray(exists, bool) | (having >= ALMOST_ALL), touching)
 
 
 def bridging_parts(exists: Bool[np.ndarray, " L"], touching: Float[np.ndarray, "L L"]) -> Bool[np.ndarray, " L"]:

@@ -129,6 +129,7 @@ class Problem:
     """One deformation to solve: a graph, constraints (rows (C, 4N), targets (C, 3), strength (C,)) and rest maps.
 
     ``targets`` and the unknowns are in normal coordinates; energies are in the units described in the module.
+    ``normal`` (M, M) is rows' diag(strength) rows, for who knows it already.
     """
 
     graph: DeformationGraph
@@ -137,13 +138,13 @@ class Problem:
     strength: Float[np.ndarray, " C"]
     rest: Float[np.ndarray, "N 3 3"]
     weights: Weights = Weights()
+    normal: Float[np.ndarray, "M M"] | None = None
 
     def __post_init__(self) -> None:
         weighted = self.rows.multiply(self.strength[:, None]).tocsr()
         scale = 1 / self.graph.size**2
-        linear = scale * (
-            self.weights.regular * self.graph.regular + self.weights.constraint * (self.rows.T @ weighted).toarray()
-        )
+        normal = (self.rows.T @ weighted).toarray() if self.normal is None else self.normal
+        linear = scale * (self.weights.regular * self.graph.regular + self.weights.constraint * normal)
         object.__setattr__(self, "linear", linear)
         object.__setattr__(self, "right", scale * self.weights.constraint * (weighted.T @ self.targets))
         object.__setattr__(self, "inverse", np.linalg.inv(self.rest))

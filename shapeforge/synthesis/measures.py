@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from shapeforge.collection.shape import Mesh
 from shapeforge.collection.surface import closest_points
+from shapeforge.collection.symmetry import mirrored, symmetry_plane
 from shapeforge.synthesis.cleaning import neighbours
 from shapeforge.synthesis.surfaces import WELD, vertex_components
 
@@ -154,19 +155,25 @@ def gap(
     return float(np.maximum(distance[held] - allowed[held], 0).max())
 
 
-def symmetry_error(points: Float[np.ndarray, "P 3"]) -> float:
-    """Mean distance from the mirrored points to the points, over the better of the two upright mirrors (same units).
+def symmetry_error(
+    points: Float[np.ndarray, "P 3"], plane: tuple[Float[np.ndarray, " 3"], float] | None = None
+) -> float:
+    """Mean distance from the mirrored points to the points (same units).
 
-    The mirrors pass through the middle of the bounding box, across x or across z (y is up).
+    ``plane`` is the mirror (unit normal, place along it); without one the best near-vertical plane is found (y is up).
     """
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    tree = cKDTree(points)
-    errors = []
-    for axis in (0, 2):
-        mirrored = points.copy()
-        mirrored[:, axis] = 2 * middle[axis] - mirrored[:, axis]
-        errors.append(tree.query(mirrored)[0].mean())
-    return float(min(errors))
+    normal, place = symmetry_plane(points)[:2] if plane is None else plane
+    return float(cKDTree(points).query(mirrored(points, normal, place))[0].mean())
+
+
+def open_edges(triangles: Int[np.ndarray, "N 3"]) -> int:
+    """Edges that keep a mesh from being watertight: not run through as often one way as the other."""
+    sides = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2).astype(np.int64)
+    base = int(sides.max()) + 1 if len(sides) else 1
+    low, high = sides.min(axis=1), sides.max(axis=1)
+    _, edge = np.unique(low * base + high, return_inverse=True)
+    balance = np.bincount(edge.reshape(-1), np.where(sides[:, 0] == low, 1, -1))
+    return int((balance != 0).sum())
 
 
 def inverted_triangles(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,8 @@ MEASURES = ("position", "translation", "affine")
 CANDIDATES = 8
 SWITCH = 0.006
 """Cost (mean distance, diagonals) of taking neighbouring parts from different shapes."""
+STRANGE = 0.03
+"""Parts that differ by so much (mean distance, diagonals) double that cost: see :func:`_unlikeness`."""
 BLEMISH = 0.006
 """Cost (mean distance, diagonals) of a part as flawed as is bearable in one respect (see ``PartQuality.blemish``)."""
 
@@ -65,39 +67,6 @@ def part_distances(
     return distance
 
 
-def mirror_partners(sources: Sources, *, most: int = 40) -> list[tuple[int, int]]:
-    """Pairs of parts that are each other's mirror image on the training shapes (left and right wing as two parts).
-
-    Measured on part boxes over at most ``most`` shapes: mirrored centre and extents agree within .03 of the diagonal on
-    the median shape, and the parts lie off the mirror.
-    """
-    rows = np.unique(np.linspace(0, len(sources.names) - 1, min(most, len(sources.names))).astype(int))
-    low = np.full((len(rows), sources.n_parts, 3), np.nan)
-    high = low.copy()
-    for i, t in enumerate(rows):
-        for l in range(sources.n_parts):
-            points = sources.positions[t, sources.part == l]
-            points = points[np.isfinite(points).all(axis=1)]
-            if sources.exists[t, l] and len(points):
-                low[i, l], high[i, l] = points.min(axis=0), points.max(axis=0)
-    pairs = []
-    for l in range(sources.n_parts):
-        for other in range(l + 1, sources.n_parts):
-            both = np.isfinite(low[:, l, 0]) & np.isfinite(low[:, other, 0])
-            if both.sum() < max(1, 0.25 * len(rows)):
-                continue
-            for axis in (0, 2):
-                sign = np.where(np.arange(3) == axis, -1.0, 1.0)
-                mirrored_low = np.minimum(sign * low[both, l], sign * high[both, l])
-                mirrored_high = np.maximum(sign * low[both, l], sign * high[both, l])
-                error = np.abs(mirrored_low - low[both, other]) + np.abs(mirrored_high - high[both, other])
-                off = np.abs(low[both, l, axis] + high[both, l, axis]) / 2
-                if np.median(error.max(axis=1)) < 0.06 and np.median(off) > 0.05:
-                    pairs.append((l, other))
-                    break
-    return pairs
-
-
 def retrieve(
     points: Float[np.ndarray, "K 3"], exists: Bool[np.ndarray, " L"], sources: Sources, *, measure: str = "blend",
     switch: float = SWITCH, candidates: int = CANDIDATES, fixed: Mapping[int, int] | None = None,
@@ -105,14 +74,15 @@ def retrieve(
     """The training shape for every part of a draw: near points, usable faces, neighbours from one shape if close.
 
     Each part keeps its ``candidates`` nearest usable training parts (ragged, tiny or unexplained ones are passed over);
-    then the sum of distances, BLEMISH times the parts' flaws and ``switch`` per touching pair from different shapes is
-    lowered part by part from several starts.  Mirrored parts come from one shape.
+    then the sum of distances, BLEMISH times the parts' flaws and ``switch`` per touching pair from different shapes
+    (more if these parts are unlike on the two) is lowered part by part from several starts.  Mirrored parts come from
+    one shape.
 
     ``fixed`` {part: training shape} are taken from there whatever they cost, if that shape has them, and the others are
     chosen to go with them.
     """
-    n_parts, partners = sources.n_parts, mirror_partners(sources)
-    tied = _tied(n_parts, partners, exists)
+    n_parts = sources.n_parts
+    tied = _tied(n_parts, sources.mirror.parts, exists)
     cost = np.full((n_parts, len(sources.names)), np.inf)
     for l in np.flatnonzero(exists):
         cost[l] = part_distances(points, sources, int(l), measure=measure)
@@ -131,7 +101,7 @@ def retrieve(
         for t in found:
             read = [sources.part_of(t, int(l)) for l in np.flatnonzero((tied == g) & exists)]
             together[g, t] += BLEMISH * sum(p.quality.blemish for p in read if p is not None)
-    chosen = _choose(choices, together, tied, exists, sources.touching, switch)
+    chosen = _choose(choices, together, tied, exists, sources, switch)
     shape = np.array([chosen.get(int(tied[l]), -1) if exists[l] else -1 for l in range(n_parts)])
     for l, t in wanted.items():  # also where its mirror image cannot be had from there
         shape[l] = t
@@ -139,7 +109,7 @@ def retrieve(
     return Retrieved(shape, distance)
 
 
-def _tied(n_parts: int, partners: list[tuple[int, int]], exists: np.ndarray) -> np.ndarray:
+def _tied(n_parts: int, partners: Iterable[tuple[int, int]], exists: np.ndarray) -> np.ndarray:
     """Group number (the smallest part) of the parts that must come from one shape."""
     tied = np.arange(n_parts)
     for l, other in partners:
@@ -168,19 +138,26 @@ def _usable(cost: np.ndarray, parts: list[int], sources: Sources, wanted: int) -
 
 
 def _choose(choices: dict[int, list[int]], cost: np.ndarray, tied: np.ndarray, exists: np.ndarray,
-            touching: np.ndarray, switch: float) -> dict[int, int]:  # fmt: skip
+            sources: Sources, switch: float) -> dict[int, int]:  # fmt: skip
     """Coordinate descent on distances plus switching costs, from the independent best and from each single shape."""
     groups = list(choices)
+    members = [np.flatnonzero((tied == g) & exists) for g in groups]
     bond = np.zeros((len(groups), len(groups)))
-    for i, g in enumerate(groups):
-        for j, h in enumerate(groups):
+    for i, own in enumerate(members):
+        for j, others in enumerate(members):
             if i != j:
-                members, others = (tied == g) & exists, (tied == h) & exists
-                bond[i, j] = switch * (touching[np.ix_(members, others)] >= 0.5).any()
+                bond[i, j] = switch * (sources.touching[np.ix_(own, others)] >= 0.5).any()
+    shapes = sorted({t for found in choices.values() for t in found})
+    place = {t: n for n, t in enumerate(shapes)}
+    unlike = [_unlikeness(shapes, own, sources) for own in members]
 
     def total(choice: list[int]) -> float:
-        apart = np.array(choice)[:, None] != np.array(choice)[None]
-        return float(sum(cost[g, t] for g, t in zip(groups, choice, strict=True)) + (bond * apart).sum() / 2)
+        lost = sum(cost[g, t] for g, t in zip(groups, choice, strict=True))
+        at = [place[t] for t in choice]
+        for i, j in zip(*np.nonzero(np.triu(bond)), strict=True):
+            if at[i] != at[j]:
+                lost += bond[i, j] * (1 + (unlike[i][at[i], at[j]] + unlike[j][at[i], at[j]]) / 2)
+        return float(lost)
 
     starts = [[choices[g][0] for g in groups]]
     for t in sorted({t for found in choices.values() for t in found}):
@@ -198,3 +175,20 @@ def _choose(choices: dict[int, list[int]], cost: np.ndarray, tied: np.ndarray, e
         if value < best_total:
             best, best_total = choice, value
     return dict(zip(groups, best, strict=True))
+
+
+def _unlikeness(shapes: list[int], parts: np.ndarray, sources: Sources) -> Float[np.ndarray, "n n"]:
+    """How much the parts of training shapes differ in place and form, in units of STRANGE; 1 where one lacks them.
+
+    A seat goes with the legs of a shape whose own seat is like it.
+    """
+    points = np.asarray(sources.positions[np.ix_(shapes, np.flatnonzero(np.isin(sources.part, parts)))], float)
+    there = np.isfinite(points).all(axis=2)
+    points = np.where(there[..., None], points, 0.0)
+    found = np.ones((len(shapes), len(shapes)))
+    for i in range(len(shapes)):
+        both = there & there[i]
+        away = np.where(both, np.linalg.norm(points - points[i], axis=2), 0.0).sum(axis=1)
+        count = both.sum(axis=1)
+        found[i] = np.where(count > 0, away / np.maximum(count, 1) / STRANGE, 1.0)
+    return found

@@ -9,16 +9,17 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from shapeforge.collection.shape import Shape
+from shapeforge.collection.shape import Mesh, Shape
 from shapeforge.collection.surface import closest_points
 from shapeforge.synthesis.cleaning import neighbours
 from shapeforge.synthesis.depths import depths, directions_into
 from shapeforge.synthesis.embedded import DeformationGraph, build_graph
 from shapeforge.synthesis.measures import PartQuality
+from shapeforge.synthesis.mirror import FamilyMirror, find_mirror
 from shapeforge.synthesis.parts import cut_mesh, cut_part
 from shapeforge.synthesis.surfaces import as_mesh, farthest_points, touching_pieces
 
@@ -52,7 +53,7 @@ class SourcePart:
 
     ``handles`` (C, 3) are the surface points that correspond to the template points ``template`` (C,);
     ``piece`` numbers the pieces of the part: connected components, those that touch counted as one;
-    ``anchors`` tells, for every other part that this one touches, where.
+    ``anchors`` tells, for every other part that this one touches, where; ``colours`` (N, 3) are the file's, if any.
     """
 
     shape: str
@@ -64,6 +65,7 @@ class SourcePart:
     handles: Float[np.ndarray, "C 3"]
     quality: PartQuality
     anchors: Mapping[int, Anchors] = field(default_factory=dict)
+    colours: UInt8[np.ndarray, "N 3"] | None = None
 
     @cached_property
     def graph(self) -> DeformationGraph:
@@ -84,6 +86,11 @@ class SourcePart:
     def handle_rows(self) -> csr_array:
         """Basis (C, 4N) of the handles in ``graph``."""
         return self.graph.basis(self.handles)
+
+    @cached_property
+    def handle_normal(self) -> Float[np.ndarray, "M M"]:
+        """The handles' normal matrix (4N, 4N), all of one weight: it is the same for every draw."""
+        return (self.handle_rows.T @ self.handle_rows).toarray()
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +120,11 @@ class Sources:
     def n_parts(self) -> int:
         """Number of parts L."""
         return len(self.part_names)
+
+    @cached_property
+    def mirror(self) -> FamilyMirror:
+        """The family's mirror plane; found when it is first asked for."""
+        return find_mirror(self.positions, self.exists, self.part)
 
     def parts_of(self, index: int) -> dict[int, SourcePart]:
         """Usable parts of training shape ``index``; kept in memory for the last ``keep`` shapes."""
@@ -211,9 +223,8 @@ def read_parts(
             f"faces: wanted one label per face record of {shape.name} ({mesh.n_faces}), got {len(faces)}. "
             "Do the labels belong to another version of the mesh?"
         )
-    cut = cut_mesh(
-        mesh, faces[mesh.face_of_triangle], np.asarray(positions, float), part, n_parts, painted=painted, smooth=smooth
-    )
+    labels = np.asarray(faces)[mesh.face_of_triangle]
+    cut = cut_mesh(mesh, labels, np.asarray(positions, float), part, n_parts, painted=painted, smooth=smooth)
     found: dict[int, SourcePart] = {}
     for l in range(n_parts):
         template = np.flatnonzero((part == l) & np.isfinite(positions).all(axis=1))
@@ -222,10 +233,25 @@ def read_parts(
         handles = np.asarray(positions[template], float)
         vertices, triangles, quality = cut_part(cut, l, handles)
         found[l] = SourcePart(
-            shape.name, l, vertices, triangles, touching_pieces(vertices, triangles), template, handles, quality
-        )
+            shape.name, l, vertices, triangles, touching_pieces(vertices, triangles), template, handles, quality,
+            colours=_colours_of(mesh, labels == l, vertices[triangles].mean(axis=1)),
+        )  # fmt: skip
     anchors = _find_anchors(found)
     return {l: replace(source, anchors=anchors[l]) for l, source in found.items()}
+
+
+def _colours_of(
+    mesh: Mesh, own: Bool[np.ndarray, " M"], centres: Float[np.ndarray, "N 3"]
+) -> UInt8[np.ndarray, "N 3"] | None:
+    """Colours of triangles with these ``centres``, cut from a mesh: those of the nearest of the part's ``own``.
+
+    What cleaning gave to the part has the colours around it, as lids have.
+    """
+    if mesh.colours is None:
+        return None
+    rows = np.flatnonzero(own) if own.any() else np.arange(len(own))
+    under = closest_points(as_mesh(mesh.vertices, mesh.triangles[rows]), centres)[1]
+    return mesh.colours[mesh.face_of_triangle[rows[under]]]
 
 
 def _find_anchors(parts: Mapping[int, SourcePart]) -> dict[int, dict[int, Anchors]]:

@@ -14,6 +14,8 @@ from scipy.spatial import cKDTree
 
 from shapeforge.collection.shape import Mesh
 from shapeforge.collection.surface import closest_points
+from shapeforge.synthesis.measures import open_edges
+from shapeforge.synthesis.surfaces import sides_of, weld
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,12 @@ def novelty(real: Sequence[np.ndarray], new: Sequence[np.ndarray]) -> Novelty:
         raise ValueError(f"real, new: wanted at least 2 and 1 shapes, got {len(real)} and {len(new)}.")
     own = chamfer_table(real) + np.diag(np.full(len(real), np.inf))
     return Novelty(float(np.median(chamfer_table(new, real).min(axis=1))), float(np.median(own.min(axis=1))))
+
+
+def open_share(mesh: Mesh) -> float:
+    """Share of a mesh's edges that keep it from being watertight, once coinciding vertices are one; 0: it is."""
+    triangles = weld(np.asarray(mesh.vertices, float), mesh.triangles)[1]
+    return open_edges(triangles) / max(len(sides_of(triangles)[0]), 1)
 
 
 def contact_distance(

@@ -34,7 +34,8 @@ def measures(project: Any, validation: Mapping[str, Any] | None) -> str:
     for key, words in (("largest_gap", "new shapes: largest gap between parts, diagonals (median)"),
                        ("symmetry_error", "new shapes: symmetry error, diagonals (median)"),
                        ("distance_from_draw", "new shapes: distance from the draw, diagonals (median)"),
-                       ("folded_triangles", "new shapes: folded triangle pairs (median)")):  # fmt: skip
+                       ("folded_triangles", "new shapes: folded triangle pairs (median)"),
+                       ("open_edges", "new shapes: edges that are open (median)")):  # fmt: skip
         values = [m[key] for m in made if m.get(key) is not None]
         if values:
             rows.append([words, number(float(np.median(values)))])

@@ -20,7 +20,7 @@ from shapeforge.generative.inference import Latents, infer, logit, sigmoid
 from shapeforge.generative.units import Direction, bundles, drive, drive_latents
 from shapeforge.stages_recipes import recipe_of, write_recipe
 from shapeforge.synthesis.assemble import SynthesizedShape
-from shapeforge.synthesis.complete import bridging_parts
+from shapeforge.synthesis.complete import completed_parts
 from shapeforge.synthesis.sources import touching_shares
 from shapeforge.viewer.display import Caption, Display, Mark, MeshLayer, PointLayer, View
 from shapeforge.viewer.mesh_worker import Made
@@ -105,7 +105,8 @@ class Sculptor:
         """A draw from the learnt distribution; the n-th draw of a project is always the same."""
         self._draws += 1
         found = draw(self.machine, self.mixture, 1, rng=np.random.default_rng([7, self._draws])).latents
-        return replace(found, exists=bridging_parts(found.exists[0], self.touching)[None])
+        having = self.latents.exists.mean(axis=0)
+        return replace(found, exists=completed_parts(found.exists[0], self.touching, having)[None])
 
     def base_of(self, name: str) -> Latents:
         """The latents of a shape of the family."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from shapeforge.collection.materials import PLAIN
 from shapeforge.collection.surface import closest_points
 from shapeforge.synthesis import bending
 from shapeforge.synthesis.assemble import synthesize
@@ -14,7 +15,9 @@ from shapeforge.synthesis.bending import bend, count_folds, start_part
 from shapeforge.synthesis.contacts import carry_along, choose_contacts, contact_depths, hold_contacts, join_islands
 from shapeforge.synthesis.depths import depths, pushed_back
 from shapeforge.synthesis.measures import inverted_triangles
+from shapeforge.synthesis.sources import make_sources
 from shapeforge.synthesis.surfaces import as_mesh
+from tests.synthesis.conftest import PART_NAMES
 
 BOTH = np.array([True, True])
 
@@ -173,3 +176,19 @@ def test_what_is_let_in_or_far_through_is_not_pushed_back() -> None:
     rim = pushed_back(np.array([0.03, 0.03, 0.0, 0.02]), on, into, piece, 0.003)
     np.testing.assert_allclose(rim, [0.03, 0.03, 0.03, 0.02])  # the ray of one missed: it goes with the rest
     assert not pushed_back(np.array([0.03, 0.0, 0.0, 0.0]), on, into, piece, 0.003).any()
+
+
+def test_colours_of_the_sources_go_along(tables, table_part) -> None:
+    red, blue = [200, 0, 0], [0, 0, 200]
+    shapes = [t.shape for t in tables]
+    painted = np.where(tables[0].faces[:, None] == 0, red, blue).astype(np.uint8)
+    shapes[0] = replace(shapes[0], mesh=replace(shapes[0].mesh, colours=painted))
+    sources = make_sources(
+        [s.name for s in shapes], shapes.__getitem__, [t.faces for t in tables],
+        np.stack([t.points for t in tables]), table_part, PART_NAMES,
+    )  # fmt: skip
+    made = synthesize(tables[0].points, BOTH, sources, shapes=np.array([0, 0]))
+    assert np.array_equal(made.colours, np.where(made.part[:, None] == 0, red, blue))
+    mixed = synthesize(tables[0].points, BOTH, sources, shapes=np.array([0, 1]))
+    assert np.array_equal(mixed.colours, np.where(mixed.part[:, None] == 0, red, PLAIN))
+    assert synthesize(tables[1].points, BOTH, sources, shapes=np.array([1, 1])).colours is None

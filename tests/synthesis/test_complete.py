@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shapeforge.synthesis.complete import bridging_parts
+from shapeforge.synthesis.complete import bridging_parts, completed_parts
 
 SEAT, LEG, COLUMN, BASE, PLATE = range(5)
 
@@ -44,3 +44,9 @@ def test_nothing_is_added_where_nothing_joins() -> None:
 def test_two_parts_may_be_needed() -> None:
     chain = table((SEAT, COLUMN, 1.0), (COLUMN, PLATE, 0.8), (PLATE, BASE, 1.0))
     assert bridging_parts(pattern(SEAT, BASE), chain).sum() == 4
+
+
+def test_what_almost_all_shapes_have_is_not_left_out() -> None:
+    having = np.where(pattern(SEAT), 0.96, 0.9)
+    assert np.array_equal(completed_parts(pattern(BASE), TOUCHING, having), pattern(SEAT, COLUMN, BASE))
+    assert np.array_equal(completed_parts(pattern(BASE), TOUCHING, np.full(len(having), 0.9)), pattern(BASE))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from shapeforge.synthesis.measures import raggedness
-from shapeforge.synthesis.retrieve import mirror_partners, part_distances, retrieve
+from shapeforge.synthesis.retrieve import part_distances, retrieve
 from shapeforge.synthesis.sources import make_sources
 from shapeforge.synthesis.surfaces import as_mesh
 
@@ -96,11 +96,27 @@ def test_mirrored_parts_are_tied(tables, table_part) -> None:
     sources = make_sources(
         [t.shape.name for t in tables], lambda i: tables[i].shape, labels, positions, left, ("top", "left", "right")
     )
-    assert mirror_partners(sources) == [(1, 2)]
+    assert sources.mirror.parts == ((1, 2),)
     draw = tables[0].points.copy()
     draw[left == 2] = tables[3].points[left == 2]
     found = retrieve(draw, np.ones(3, bool), sources, switch=0.0)
     assert found.shape[1] == found.shape[2]
+
+
+def test_a_part_from_another_shape_comes_from_one_that_is_like_the_first(tables, table_part) -> None:
+    # The draw's top is table 0's; its legs are as near to those of b, whose top is alike, as to those of c.
+    positions = np.stack([tables[0].points, tables[0].points, tables[2].points])
+    legs = table_part == 1
+    positions[0, legs] = np.nan
+    drawn = tables[0].points.copy()
+    drawn[legs] = (positions[1, legs] + positions[2, legs]) / 2 + 1e-4 * (positions[2, legs] - positions[1, legs])
+    labels = [tables[0].faces * 0, tables[0].faces, tables[2].faces]
+    shapes = [tables[0].shape, tables[0].shape, tables[2].shape]
+    sources = make_sources("abc", shapes.__getitem__, labels, positions, table_part, ("top", "legs"))
+    sources = replace(sources, touching=np.array([[0.0, 1.0], [1.0, 0.0]]))
+    plain = retrieve(drawn, BOTH, sources, fixed={0: 0}, measure="position", switch=0.0).shape
+    assert plain.tolist() == [0, 2]
+    assert retrieve(drawn, BOTH, sources, fixed={0: 0}, measure="position").shape.tolist() == [0, 1]
 
 
 def test_the_cache_forgets_the_oldest(tables, sources) -> None:

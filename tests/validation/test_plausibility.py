@@ -11,6 +11,7 @@ from shapeforge.validation.plausibility import (
     chamfer_table,
     contact_distance,
     novelty,
+    open_share,
     plausibility,
     thin_cloud,
 )
@@ -77,3 +78,11 @@ def test_the_distance_of_parts_that_should_touch() -> None:
     assert contact_distance(mesh, np.array([0, 1, 2]), touching) == pytest.approx((0.02 + 0.48) / 2)
     assert contact_distance(mesh, np.array([0, 1, 0]), touching) == pytest.approx(0.02)
     assert contact_distance(mesh, np.array([0, -1, 0]), touching) is None
+
+
+def test_open_share_counts_edges_of_one_triangle() -> None:
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], np.int32)
+    soup = Mesh(corners[faces].reshape(-1, 3), np.arange(12, dtype=np.int32).reshape(4, 3), np.arange(4), 4)
+    assert open_share(soup) == 0.0  # corners that coincide are one
+    assert open_share(Mesh(corners, faces[1:], np.arange(3), 3)) == 3 / 6

@@ -1,0 +1,64 @@
+"""The family's mirror plane is found wherever it lies, and draws become as symmetric as the family."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shapeforge.synthesis.assemble import synthesize
+from shapeforge.synthesis.measures import symmetry_error
+from shapeforge.synthesis.mirror import SYMMETRIC, find_mirror
+
+BOTH = np.array([True, True])
+
+
+def turn(degrees: float) -> np.ndarray:
+    c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+
+def lopsided(points: np.ndarray, leg: slice, by: np.ndarray) -> np.ndarray:
+    """One leg moved sideways: what a noisy draw does."""
+    moved = points.copy()
+    moved[leg] += by
+    return moved
+
+
+def test_the_plane_is_found_on_a_family_that_lies_askew(tables, table_part) -> None:
+    turned = np.stack([(t.points + [0.1, 0, 0]) @ turn(25).T for t in tables if "1x1x1" not in t.shape.name])
+    mirror = find_mirror(turned, np.ones((len(turned), 2), bool), table_part)
+    across = max(abs(turn(25)[:, 0] @ mirror.normal), abs(turn(25)[:, 2] @ mirror.normal))  # tables have two planes
+    assert across > 0.9999 and mirror.symmetric.all()
+    assert abs(mirror.place(turned[0], table_part) - (turn(25) @ [0.1, 0, 0]) @ mirror.normal) < 1e-3
+
+
+def test_a_lopsided_draw_becomes_symmetric_and_a_symmetric_one_stays(tables, table_part, sources) -> None:
+    points = tables[1].points
+    assert np.abs(sources.mirror.made_symmetric(points, table_part) - points).max() < 2e-3
+    drawn = lopsided(points, slice(384, 768), np.array([0.03, 0.0, 0.02]))
+    better = sources.mirror.made_symmetric(drawn, table_part)
+    assert np.linalg.norm(better - drawn, axis=1)[table_part == 1].mean() <= SYMMETRIC
+    plane = sources.mirror.normal, sources.mirror.place(better, table_part)
+    assert symmetry_error(better, plane) < 0.1 * symmetry_error(drawn, plane)
+    assert np.abs(better[:384] - points[:384]).max() < 2e-3
+
+
+def test_a_part_far_from_symmetric_stays_as_drawn(tables, table_part, sources) -> None:
+    drawn = lopsided(tables[1].points, slice(384, 1920), np.array([0.2, 0.0, 0.0]))
+    drawn[384:768] += [0.0, 0.3, 0.0]
+    made = sources.mirror.made_symmetric(drawn, table_part)
+    assert np.array_equal(made[table_part == 1], drawn[table_part == 1])
+
+
+def test_absent_parts_stay_absent_and_families_without_shapes_have_no_pairs(tables, table_part, sources) -> None:
+    points = np.where((table_part == 1)[:, None], np.nan, tables[0].points)
+    made = sources.mirror.made_symmetric(points, table_part)
+    assert np.isnan(made[table_part == 1]).all() and np.isfinite(made[table_part == 0]).all()
+    empty = find_mirror(np.full((2, len(table_part), 3), np.nan), np.zeros((2, 2), bool), table_part)
+    assert not empty.symmetric.any() and np.array_equal(empty.partner, np.arange(len(table_part)))
+
+
+def test_meshes_of_lopsided_draws_are_symmetric_unless_asked_not_to_be(tables, sources) -> None:
+    drawn = lopsided(tables[2].points, slice(384, 768), np.array([0.03, 0.0, 0.03]))
+    made = [synthesize(drawn, BOTH, sources, symmetric=symmetric) for symmetric in (True, False)]
+    errors = [shape.measures["symmetry_error"] for shape in made]
+    assert errors[0] < 0.5 * errors[1]
