@@ -7,13 +7,13 @@
 A generated family with its true correspondences, so that only the machine is judged, or corresponding points of a
 fitted family: an npz with ``positions`` (T, K, 3), NaN where absent, ``part`` (K,) and ``names`` (L,).  Errors are mean
 |D - D'| per coordinate on held-out shapes, in % of the diagonal, and in the same unit for PCA.  Plausibility is between
-clouds of the held-out shapes and as many new ones, by Chamfer distance (300 points) and, at most 40 shapes, by earth
+clouds of the held-out shapes and as many new ones, by Chamfer distance (300 points) and, at most 30 shapes, by earth
 mover's (256 points); ``novelty`` is the mean distance of new shapes to the nearest training shape, relative to that of
 held-out shapes (0 is a copy).  A seed draws the family and the split; means over seeds.  The last line is one JSON
 object.
 
 The Gaussian DBM's sizes and rate are chosen from ``GAUSSIAN_GRID`` by the error on held-out shapes of the family that
-seed ``TUNING_SEED`` stands for, at a third of the points (of a fitted family: of another split).  ``--pretrained``
+seed ``TUNING_SEED`` stands for, at a fifth of the points (of a fitted family: of another split).  ``--pretrained``
 leaves out fine-tuning, ``--no-gaussian`` the Gaussian DBM.
 """
 
@@ -49,8 +49,8 @@ from shapeforge.generative.units import directions
 from shapeforge.validation.plausibility import chamfer_table, plausibility_of_table, thin_cloud
 from shapeforge.validation.statistics import format_table
 
-CLOUD, FINE_CLOUD, MOST_FINE = 300, 256, 40
-TUNING_SEED, TUNING_SHAPES, THINNED = 1000, 150, 3
+CLOUD, FINE_CLOUD, MOST_FINE = 300, 256, 30
+TUNING_SEED, TUNING_SHAPES, THINNED = 1000, 150, 5
 GAUSSIAN_GRID = [(units, rate) for units in ((100, 50), (300, 100)) for rate in (0.3, 1.0, 3.0)]
 
 
