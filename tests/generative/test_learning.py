@@ -13,10 +13,10 @@ from shapeforge.generative.draw import Mixture, draw, fit_mixture
 from shapeforge.generative.inference import decode, infer
 from shapeforge.generative.joint import family_prior, shape_prior
 from shapeforge.generative.learning import learn_machine, reconstruction_error, split, vary
-from shapeforge.generative.machine import BetaShapeMachine
+from shapeforge.generative.machine import BetaShapeMachine, layer_sizes
 from shapeforge.generative.observations import observe
 from shapeforge.generative.paper_form import to_paper
-from shapeforge.generative.units import bundles, directions, drive
+from shapeforge.generative.units import bundles, directions, drive, middle_shape
 from tests.generative.synthetic import PART_NAMES, chair_family
 
 
@@ -158,6 +158,26 @@ def test_a_bundle_is_seen_and_goes_one_way(family, learned):
     way = (ends[4] - ends[0])[there]
     along = [float(((end - ends[0])[there] * way).sum() / (way**2).sum()) for end in ends]
     assert along == sorted(along) and along[2] == pytest.approx(0.5, abs=0.3)
+
+
+def test_the_middle_shape_lies_among_those_with_the_commonest_parts(family, learned):
+    train, machine = family[0], learned.machine
+    patterns, counts = np.unique(train.exists, axis=0, return_counts=True)
+    middle = middle_shape(machine, train)
+    np.testing.assert_array_equal(middle.exists[0], patterns[counts.argmax()])
+    alike = train.positions()[(train.exists == middle.exists).all(axis=1)]
+    there = np.isfinite(alike[0, :, 0])
+    points = machine.to_positions(decode(machine, middle), middle.exists)[0][there]
+
+    def mean_distance(one):
+        return np.linalg.norm(alike[:, there] - one, axis=2).mean(axis=1)
+
+    assert mean_distance(points).mean() < min(np.delete(mean_distance(a[there]), i).mean() for i, a in enumerate(alike))
+
+
+def test_small_parts_get_units_of_their_own():
+    assert layer_sizes([40, 400, 2], 500) == ([40, 120, 6], 55, 37)
+    assert layer_sizes([40, 400, 2], 20) == ([20, 20, 6], 15, 10)
 
 
 def test_descriptors_tell_classes_apart(family, learned):
