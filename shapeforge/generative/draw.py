@@ -110,14 +110,22 @@ def draw_codes(
     else:
         lacking = (~of_shape[:, on]).sum(axis=1) + of_shape[:, off].sum(axis=1)
     weight = np.where(lacking == lacking.min(), 0.0 if prefer is None else prefer, -np.inf)
-    weight = np.exp(weight - weight.max())
-    chosen = rng.choice(len(weight), n, p=weight / weight.sum())
+    chosen = _spread_choice(np.exp(weight - weight.max()), n, rng)
     states = of_shape[chosen] if exists is None else np.broadcast_to(exists, (n, len(exists))).copy()
     states[:, on], states[:, off] = True, False
     which = mixture.which[chosen]
     middle = _means(mixture)[which]
     away = np.sqrt(1 - WIDTH**2) * (mixture.codes[chosen] - middle) + WIDTH * _variation(mixture, which, rng)
     return _kept(middle + temperature * away), states
+
+
+def _spread_choice(weight: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
+    """n indices, each drawn in proportion to its weight, together as evenly as n allows (systematic sampling): draws
+    made at once start from different shapes as long as there are enough."""
+    order = rng.permutation(len(weight))
+    upto = np.cumsum(weight[order])
+    chosen = np.searchsorted(upto, (np.arange(n) + rng.random()) * (upto[-1] / n), side="right")
+    return rng.permutation(order[np.minimum(chosen, len(order) - 1)])
 
 
 def codes_near(

@@ -9,7 +9,7 @@ import pytest
 from shapeforge.collection.iterate import last
 from shapeforge.generative.baselines import draw_from_components, fit_principal_components, reconstruct_by_components
 from shapeforge.generative.descriptors import describe_shapes
-from shapeforge.generative.draw import Mixture, draw, fit_mixture
+from shapeforge.generative.draw import Mixture, _spread_choice, draw, fit_mixture
 from shapeforge.generative.inference import decode, infer
 from shapeforge.generative.joint import family_prior, shape_prior
 from shapeforge.generative.learning import learn_machine, reconstruction_error, split, vary
@@ -112,6 +112,16 @@ def test_draws_keep_to_the_parts_seen_and_differ(family, learned, mixture):
     assert len(np.unique(np.nan_to_num(drawn.points[:, 0, 0]).round(6))) > 50
     again = draw(learned.machine, mixture, 200, rng=np.random.default_rng(3))
     np.testing.assert_array_equal(again.points, drawn.points)
+
+
+def test_draws_made_at_once_start_from_every_shape_as_often_as_its_weight_asks():
+    weight, rng = np.array([1.0, 0.0, 3.0, 2.0]), np.random.default_rng(0)
+    for n in (1, 4, 60):
+        counts = np.array([np.bincount(_spread_choice(weight, n, rng), minlength=4) for _ in range(300)])
+        expected = n * weight / weight.sum()
+        assert (np.abs(counts - expected) < 1).all()
+        np.testing.assert_allclose(counts.mean(axis=0), expected, atol=0.15)
+    assert len(np.unique(_spread_choice(np.ones(50), 50, rng))) == 50
 
 
 def test_draw_with_parts_asked_for(learned, mixture):
