@@ -37,13 +37,13 @@ def refine(task: Task) -> Iterator[Progress]:
     """Joint analysis and synthesis: the machine is a prior on the fit, the refined fit teaches the machine, 3 times.
 
     Some shapes are set aside to judge.  An alternation counts only if a machine that learns from the refined shapes
-    comes no less near to the surfaces of these than one that learns as long from the shapes as they were before it;
-    otherwise the correspondences stay as they were, and it was the last.
+    comes as near to the surfaces of these as one that learns as long from the shapes as they were before it; otherwise
+    the correspondences stay as they were, and it was the last.
     """
     from shapeforge.deformation.exemplars import blend
     from shapeforge.deformation.fit import fit_templates
     from shapeforge.deformation.hierarchy import corresponding_points
-    from shapeforge.generative.joint import held_out_error
+    from shapeforge.generative.joint import held_out_errors, is_worse
     from shapeforge.generative.learning import learn_machine
     from shapeforge.generative.observations import observe
 
@@ -102,13 +102,12 @@ def refine(task: Task) -> Iterator[Progress]:
             yield before
         for after in learnt(moved, machine, f"alternation {number + 1}, refined"):
             yield after
-        errors.append([
-            held_out_error(before.state.machine, positions[judges], surfaces(state)),
-            held_out_error(after.state.machine, moved[judges], surfaces(refined)),
-        ])  # fmt: skip
+        as_was = held_out_errors(before.state.machine, positions[judges], surfaces(state))
+        as_is = held_out_errors(after.state.machine, moved[judges], surfaces(refined))
+        errors.append([float(as_was.mean()), float(as_is.mean())])
         number += 1
         machine = before.state.machine
-        if errors[-1][1] <= errors[-1][0]:
+        if not is_worse(as_was, as_is):
             kept, state, positions, machine = number, refined, moved, after.state.machine
         save()
         yield task.progress("alternate", number, of, verdict(errors, kept), state=state)

@@ -354,7 +354,9 @@ def test_the_prior_reaches_the_template_points_it_is_about() -> None:
 def errors_one_by_one(monkeypatch: pytest.MonkeyPatch, errors: list[float]) -> None:
     """What the shapes set aside say: as it was, refined, as it was, refined, …"""
     said = iter(errors)
-    monkeypatch.setattr("shapeforge.generative.joint.held_out_error", lambda machine, positions, surfaces: next(said))
+    monkeypatch.setattr(
+        "shapeforge.generative.joint.held_out_errors", lambda machine, positions, _: np.full(len(positions), next(said))
+    )
 
 
 @pytest.mark.slow

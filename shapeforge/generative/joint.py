@@ -58,17 +58,23 @@ def reconstruct(
     return machine.to_positions(decode(machine, latents.top if from_top else latents), seen.exists), seen.exists
 
 
-def held_out_error(
+def held_out_errors(
     machine: BetaShapeMachine, positions: Float[np.ndarray, "n K 3"], surfaces: Sequence[np.ndarray]
-) -> float:
+) -> Float[np.ndarray, " n"]:
     """How far the machine's idea of shapes that it did not learn from is from their surfaces, in diagonals.
 
     ``surfaces`` holds points (P, 3) on every shape, in the frame of the corresponding ``positions``: what the shapes
     are, whatever corresponds to what.  Mean distance to the nearest point, from the points that the machine gives back
-    (from the top) to the surface and the other way, averaged over both ways and over the shapes.
+    (from the top) to the surface and the other way, averaged over both ways.
     """
     found = []
     for points, surface in zip(reconstruct(machine, positions)[0], surfaces, strict=True):
         again = points[np.isfinite(points).all(axis=1)]
-        found += [cKDTree(surface).query(again)[0].mean(), cKDTree(again).query(surface)[0].mean()]
-    return float(np.mean(found))
+        found.append((cKDTree(surface).query(again)[0].mean() + cKDTree(again).query(surface)[0].mean()) / 2)
+    return np.array(found)
+
+
+def is_worse(before: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"]) -> bool:
+    """Whether errors of the same shapes rose by more than the standard error of their mean rise: less is chance."""
+    rise = after - before
+    return bool(rise.mean() > rise.std() / np.sqrt(max(len(rise) - 1, 1)))

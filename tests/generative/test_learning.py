@@ -11,7 +11,7 @@ from shapeforge.generative.baselines import draw_from_components, fit_principal_
 from shapeforge.generative.descriptors import describe_shapes
 from shapeforge.generative.draw import Mixture, _spread_choice, draw, fit_mixture
 from shapeforge.generative.inference import decode, infer
-from shapeforge.generative.joint import family_prior, shape_prior
+from shapeforge.generative.joint import family_prior, held_out_errors, is_worse, shape_prior
 from shapeforge.generative.learning import learn_machine, reconstruction_error, split, vary
 from shapeforge.generative.machine import BetaShapeMachine, layer_sizes
 from shapeforge.generative.observations import observe
@@ -208,6 +208,21 @@ def test_prior_is_near_the_shape_and_silent_where_nothing_is(family, learned):
     prior = family_prior(machine, test)
     gaps = ((prior.mean - test.positions()) ** 2 * prior.precision)[np.isfinite(prior.mean)]
     assert 0.2 < gaps.mean() < 5
+
+
+def test_shapes_set_aside_are_judged_by_their_surfaces(family, learned):
+    test, machine = family[1], learned.machine
+    positions = test.positions()[:4]
+    surfaces = [p[np.isfinite(p[:, 0])] for p in positions]
+    errors = held_out_errors(machine, positions, surfaces)
+    assert errors.shape == (4,) and 0 < errors.min() and errors.max() < 0.05
+    swapped = positions.copy()
+    there = np.flatnonzero(np.isfinite(positions[0, :, 0]))
+    swapped[0, there] = positions[0, there[::-1]]  # on the surface, and all wrong
+    wrong = held_out_errors(machine, swapped, surfaces)
+    assert wrong[0] > 1.5 * errors[0] and np.array_equal(wrong[1:], errors[1:])
+    assert is_worse(errors, errors + 1e-4) and not is_worse(errors, errors) and not is_worse(errors, errors - 1e-4)
+    assert not is_worse(np.zeros(4), np.array([1.0, -1.1, 1.0, -0.8])), "as good as chance"
 
 
 def test_variations_stay_in_the_family_and_leave_lone_shapes_alone(family):
