@@ -41,6 +41,7 @@ def refine(task: Task) -> Iterator[Progress]:
     the correspondences stay as they were, and it was the last.
     """
     from shapeforge.deformation.exemplars import blend
+    from shapeforge.deformation.family import ROUNDS as FAMILY_ROUNDS
     from shapeforge.deformation.fit import fit_templates
     from shapeforge.deformation.hierarchy import corresponding_points
     from shapeforge.generative.joint import held_out_errors, is_worse
@@ -83,9 +84,10 @@ def refine(task: Task) -> Iterator[Progress]:
         machine = progress.state.machine
         save()
     while number < of and kept == number:
-        refined = state
+        refined, rounds = state, state.round + ROUNDS_PER_ALTERNATION
         states = fit_templates(
-            project.shapes, starting_groups(project), labels, part_names, rounds=state.round + ROUNDS_PER_ALTERNATION,
+            project.shapes, starting_groups(project), labels, part_names, rounds=rounds,
+            family_rounds=min(FAMILY_ROUNDS, rounds - max(state.family_from, 0)),
             rng=np.random.default_rng(number), executor=task.workers, seeds=seeds, resume=state,
             prior=machine_prior(machine, positions, hierarchy, state.templates),
         )  # fmt: skip
