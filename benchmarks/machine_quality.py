@@ -1,7 +1,7 @@
 """How good is the Beta Shape Machine, beside PCA per combination of parts, kernels on its scores, and a Gaussian DBM?
 
     python -m benchmarks.machine_quality [--family chairs] [--count 200] [--held-out 60] [--points 1500] [--seeds 1]
-                                         [--layers 3] [--smooth 0] [--sparse 0] [--pretrained] [--json]
+                                         [--layers N] [--smooth 0] [--sparse 0] [--pretrained] [--json]
     python -m benchmarks.machine_quality --corresponding POINTS.npz
 
 A generated family with its true correspondences, so that only the machine is judged, or corresponding points of a
@@ -228,7 +228,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--held-out", type=int, default=60)
     parser.add_argument("--points", type=int, default=1500)
-    parser.add_argument("--layers", type=int, default=3)
+    parser.add_argument("--layers", type=int, default=None, help="by default 3, of a small family 2")
     parser.add_argument("--smooth", type=float, default=0.0, help="the spatial prior's strength, λ1")
     parser.add_argument("--sparse", type=float, default=0.0, help="strength of L1 on the weights, λ2")
     parser.add_argument("--epochs", type=int, default=None)

@@ -8,6 +8,7 @@ from shapeforge.generative.draw import draw, fit_mixture
 from shapeforge.generative.evidence import between, draw_given
 from shapeforge.generative.inference import decode, infer
 from shapeforge.generative.learning import learn_machine
+from shapeforge.generative.machine import layer_sizes
 from shapeforge.generative.observations import observe
 from tests.generative.synthetic import PART_NAMES, chair_family
 
@@ -17,7 +18,9 @@ def learned():
     positions, part, _ = chair_family(60, rng=np.random.default_rng(0), density=0.2)
     observations = observe(positions, part, PART_NAMES)
     train, test = observations.subset(np.arange(50)), observations.subset(np.arange(50, 60))
-    machine = last(learn_machine(train, rng=np.random.default_rng(1), epochs=300, pretraining=40)).machine
+    sizes = layer_sizes(np.bincount(part).tolist(), train.n_shapes, layers=3)
+    settings = {"epochs": 300, "pretraining": 40, "sizes": sizes}
+    machine = last(learn_machine(train, rng=np.random.default_rng(1), **settings)).machine
     return train, test, machine, fit_mixture(machine, train)
 
 

@@ -187,7 +187,12 @@ def test_the_middle_shape_lies_among_those_with_the_commonest_parts(family, lear
 
 def test_small_parts_get_units_of_their_own():
     assert layer_sizes([40, 400, 2], 500) == ([40, 120, 6], 55, 37)
-    assert layer_sizes([40, 400, 2], 20) == ([20, 20, 6], 15, 10)
+    assert layer_sizes([40, 400, 2], 20, layers=3) == ([20, 20, 6], 15, 10)
+
+
+def test_a_small_family_gets_two_layers_unless_asked():
+    assert len(layer_sizes([40, 400], 200)) == 2 and len(layer_sizes([40, 400], 201)) == 3
+    assert len(layer_sizes([40, 400], 200, layers=4)) == 4
 
 
 def test_descriptors_tell_classes_apart(family, learned):
