@@ -1,4 +1,4 @@
-"""The stage that alternates fit and learning: joint analysis and synthesis (§5), as long as it does no harm."""
+"""The stage that alternates fit and learning: joint analysis and synthesis (§5), while shapes set aside agree."""
 
 from __future__ import annotations
 
