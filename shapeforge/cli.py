@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from shapeforge.cli_output import PartlyDone, escaped, follow, one_line, print_json
+from shapeforge.cli_words import named_after_option, names_in, two_names
 
 app = typer.Typer(
     name="shapeforge", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
@@ -125,14 +126,6 @@ def group(
     run_stage(path, "group", as_json, jobs=jobs, restart=restart, exemplars=chosen, seed=seed)
 
 
-def named_after_option(first: list[str] | None, more: list[str] | None, option: str) -> list[str] | None:
-    """``--option A B C`` as well as ``--option A --option B`` and ``--option A,B``."""
-    if more and not first:
-        raise typer.BadParameter(f"unexpected {more[0]!r}; names go after {option}")
-    words = [word for text in [*(first or ()), *(more or ())] for word in text.split(",") if word]
-    return words or None
-
-
 @app.command()
 def label(
     path: ProjectPath,
@@ -167,9 +160,9 @@ def cosegment(
     from shapeforge.stages_collection import edits_of
     from shapeforge.store import Project
 
-    edits = [["merge", *_two(text, ",", "--merge")] for text in merge or ()]
+    edits = [["merge", *two_names(text, ",", "--merge")] for text in merge or ()]
     edits += [["split", text.strip()] for text in split or ()]
-    edits += [["rename", *_two(text, "=", "--rename")] for text in rename or ()]
+    edits += [["rename", *two_names(text, "=", "--rename")] for text in rename or ()]
     if edits and not restart:
         given = {"parts": parts, "seed": seed}
         edits = edits_of(Project.open(path), *edits, **{name: v for name, v in given.items() if v is not None})
@@ -177,14 +170,6 @@ def cosegment(
         path, "cosegment", as_json, jobs=jobs, restart=restart, parts=parts, seed=seed,
         edits=edits if edits or restart else None,
     )  # fmt: skip
-
-
-def _two(text: str, between: str, option: str) -> list[str]:
-    """The two names in ``text``; raises the command line's error for anything else."""
-    names = [name.strip() for name in text.split(between)]
-    if len(names) != 2 or not all(names):
-        raise typer.BadParameter(f"{option}: wanted two names with {between!r} between them, got {text!r}")
-    return names
 
 
 @app.command()
@@ -213,13 +198,35 @@ def fit(
 def learn(
     path: ProjectPath,
     epochs: Annotated[int | None, typer.Option(min=1, help="Epochs of fine-tuning (default: by size).")] = None,
+    train: Annotated[
+        list[str] | None, typer.Option(metavar="NAME|FILE", help="Learn from these only; auto: all.")
+    ] = None,
+    test: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME|FILE", help="Judge by these (files: a name a line); auto: a tenth."),
+    ] = None,
+    curve: Annotated[bool, typer.Option("--curve", help="Also say whether more shapes would help.")] = False,
     seed: Seed = None,
     jobs: Jobs = None,
     restart: Restart = False,
     as_json: Json = False,
 ) -> None:
     """Learn the Beta Shape Machine of the fitted family."""
-    run_stage(path, "learn", as_json, jobs=jobs, restart=restart, epochs=epochs, seed=seed)
+    run_stage(
+        path, "learn", as_json and not curve, jobs=jobs, restart=restart, epochs=epochs, seed=seed,
+        train=names_in(train), test=names_in(test),
+    )  # fmt: skip
+    if curve:
+        from shapeforge import stages_model
+        from shapeforge.store import Project
+
+        project = Project.open(path)
+        latest = follow(project, stages_model.curve(project, seed=seed or 0, jobs=jobs), "learn")
+        typer.echo(latest.message)
+        if as_json:
+            summary = dict((project.stage_record("learn") or {}).get("summary") or {})
+            points = [vars(point) for point in latest.state]
+            print_json({"verb": "learn", "project": str(path), **summary, "curve": points, "verdict": latest.message})
 
 
 @app.command()
@@ -258,6 +265,18 @@ def synthesize(
             metavar="PART=SHAPE", help="Take this part from that shape (repeatable); none: forget earlier ones."
         ),
     ] = None,
+    having: Annotated[
+        list[str] | None, typer.Option("--with", metavar="PART", help="All have it (repeatable).")
+    ] = None,
+    lacking: Annotated[
+        list[str] | None, typer.Option("--without", metavar="PART", help="None has it; repeatable.")
+    ] = None,
+    like: Annotated[str | None, typer.Option(metavar="SHAPE", help="Near this one; temperature says how near.")] = None,
+    between: Annotated[str | None, typer.Option(metavar="A,B", help="On the way from one shape to another.")] = None,
+    hold: Annotated[
+        list[str] | None,
+        typer.Option(metavar="LAYER:UNIT=VALUE", help="Hold a unit in 0..1; both count from 1; repeatable."),
+    ] = None,
     recipe: Annotated[list[Path] | None, typer.Option(help="Make these again: .recipe.json beside a mesh.")] = None,
     seed: Seed = None,
     jobs: Jobs = None,
@@ -277,8 +296,9 @@ def synthesize(
         return
     run_stage(
         path, "synthesize", as_json, jobs=jobs, restart=restart, out=str(out.absolute()), count=count, format=format,
-        temperature=temperature, route=route, union=union, colours=colours, seed=seed,
-        take=[] if take == ["none"] else take,
+        temperature=temperature, having=names_in(having) or [], lacking=names_in(lacking) or [], hold=hold or [],
+        like=like or "", between=list(two_names(between, ",", "--between")) if between else [],
+        route=route, union=union, colours=colours, take=[] if take == ["none"] else take, seed=seed,
     )  # fmt: skip
 
 

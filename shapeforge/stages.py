@@ -219,7 +219,7 @@ def _run_one(
 
 
 def _function(stage: str) -> Callable[[Task], Iterator[Progress]]:
-    from shapeforge import stages_collection, stages_model, stages_synthesis
+    from shapeforge import stages_collection, stages_model, stages_refine, stages_synthesis
 
     return {
         "import": stages_collection.import_meshes,
@@ -228,7 +228,7 @@ def _function(stage: str) -> Callable[[Task], Iterator[Progress]]:
         "cosegment": stages_collection.cosegment,
         "fit": stages_model.fit,
         "learn": stages_model.learn,
-        "refine": stages_model.refine,
+        "refine": stages_refine.refine,
         "synthesize": stages_synthesis.synthesize,
     }[stage]
 

@@ -1,14 +1,16 @@
-"""The stages of the model: fit, learn, and refine, which alternates the two."""
+"""The stages of the model: fit and learn (``stages_refine`` alternates the two)."""
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from shapeforge.stages import Progress, StageError, Task
 from shapeforge.stages_collection import read_proposal
@@ -16,11 +18,9 @@ from shapeforge.stages_status import starts_from_proposal
 from shapeforge.store import Project
 from shapeforge.store_arrays import copy_file, read_record, write_record, write_text
 from shapeforge.store_results import write_names, write_round
+from shapeforge.workers import Workers
 
 SECONDS_BETWEEN_CHECKPOINTS = 20.0
-ROUNDS_PER_ALTERNATION = 2
-"""Outer rounds of the fit under the machine's prior in each alternation of ``refine``."""
-
 
 # -- fit -------------------------------------------------------------------------------------------------------------
 
@@ -77,7 +77,7 @@ def fit(task: Task) -> Iterator[Progress]:
             write_record(checkpoint, state)
             write_round(folder / "rounds" / f"{state.round:03d}.zarr.zip", state)
             left = pace.left(_costs(state, state.of, options), float(state.round))
-            yield task.progress("fit", state.round, state.of, _round_text(state), state=state, seconds_left=left)
+            yield task.progress("fit", state.round, state.of, round_text(state), state=state, seconds_left=left)
     if state is None:
         raise StageError("the fit made no round; wanted rounds of at least 1")
     yield task.progress("hierarchy", 0, 1, "linking the groups' templates", state=state)
@@ -177,7 +177,8 @@ def write_shapes(task: Task, folder: Path, state: Any, hierarchy: Any) -> Iterat
         yield task.progress("faces", t + 1, len(names), names[t])
 
 
-def _round_text(state: Any) -> str:
+def round_text(state: Any) -> str:
+    """What a round of the fit came to, in words."""
     if state.round == 0:
         return "affine start"
     text = f"round {state.round}: energy {state.energy:.3f} nats a point, moved {state.change:.4f} diagonals"
@@ -194,10 +195,39 @@ def _number(value: Any) -> float | None:
 
 def learn(task: Task) -> Iterator[Progress]:
     """The Beta Shape Machine of the fitted family, what new shapes are drawn from, sliders and descriptors."""
-    project, folder = task.project, task.folder
+    project, options = task.project, task.options
     names = project.fit_names
-    yield from learn_into(task, folder, names, stacked_positions(project, names), epochs=task.options["epochs"])
+    split = named_split(names, options["train"], options["test"])
+    positions = stacked_positions(project, names)
+    yield from learn_into(task, task.folder, names, positions, epochs=options["epochs"], split=split)
     yield task.progress("describe", 1, 1, task.summary["text"])
+
+
+Split = tuple[np.ndarray, np.ndarray]
+"""Indices of the shapes to learn from, and of those that judge."""
+
+
+def named_split(names: Sequence[str], train: Sequence[str] | None, test: Sequence[str] | None) -> Split | None:
+    """The shapes that were named to learn from and to judge; None where none were, or ["auto"] (a random tenth judges).
+
+    With one of the two the others are all the rest.  Raises StageError for an unknown name or one on both sides.
+    """
+    train, test = (None if given == ["auto"] else given for given in (train, test))
+    if not train and not test:
+        return None
+    unknown = sorted({*(train or ()), *(test or ())} - set(names))
+    if unknown:
+        raise StageError(f"--train, --test: no fitted shape is called {unknown[0]!r}; the family has {names[0]}, …")
+    both = sorted(set(train or ()) & set(test or ()))
+    if both:
+        raise StageError(f"--train, --test: {both[0]} is named in both; a shape learned from cannot judge")
+    chosen = [np.array([t for t, name in enumerate(names) if name in set(some or ())], int) for some in (train, test)]
+    for side, given in enumerate((train, test)):
+        if not given:
+            chosen[side] = np.setdiff1d(np.arange(len(names)), chosen[1 - side])
+    if len(chosen[0]) < 2:
+        raise StageError(f"--train, --test: wanted at least 2 shapes to learn from, got {len(chosen[0])}")
+    return chosen[0], chosen[1]
 
 
 def stacked_positions(project: Project, names: Sequence[str]) -> np.ndarray:
@@ -211,9 +241,13 @@ def stacked_positions(project: Project, names: Sequence[str]) -> np.ndarray:
 
 
 def learn_into(
-    task: Task, folder: Path, names: Sequence[str], positions: np.ndarray, *, epochs: int | None, start: Any = None
-) -> Iterator[Progress]:
-    """Learn from corresponding points (T, K, 3) and write everything the machine brings into ``folder``."""
+    task: Task, folder: Path, names: Sequence[str], positions: np.ndarray, *, epochs: int | None, start: Any = None,
+    split: Split | None = None,
+) -> Iterator[Progress]:  # fmt: skip
+    """Learn from corresponding points (T, K, 3) and write everything the machine brings into ``folder``.
+
+    With a ``split`` draws start from the shapes learned from, too, and from no others; all shapes are described.
+    """
     from shapeforge.generative.descriptors import describe_shapes
     from shapeforge.generative.draw import fit_mixture
     from shapeforge.generative.learning import learn_machine
@@ -229,7 +263,12 @@ def learn_into(
         start, epochs = saved["machine"], max(1, saved["left"])
         yield task.progress("learn", saved["epoch"], saved["epoch"] + saved["left"], "goes on from the last checkpoint")
     state, saved_at = None, time.monotonic()
-    for state in learn_machine(observations, rng=rng, epochs=epochs, executor=task.workers, start=start):
+    seen, held_out = observations, None
+    if split is not None:
+        seen = observations.subset(np.concatenate(split))
+        held_out = np.arange(len(split[0]), seen.n_shapes)
+    settings = {"epochs": epochs, "executor": task.workers, "start": start, "held_out": held_out}
+    for state in learn_machine(seen, rng=rng, **settings):
         if state.phase == "fine-tune" and time.monotonic() - saved_at > SECONDS_BETWEEN_CHECKPOINTS:
             left = state.of - state.epoch
             write_record(checkpoint, {"machine": state.machine, "epoch": state.epoch, "left": left})
@@ -239,7 +278,7 @@ def learn_into(
         raise StageError("learning made no epoch; wanted epochs of at least 1")
     yield task.progress("describe", 0, 1, "describing the family")
     machine = state.machine
-    mixture = fit_mixture(machine, observations)
+    mixture = fit_mixture(machine, observations if split is None else observations.subset(split[0]))
     write_record(folder / "observations.zarr.zip", observations)
     write_record(folder / "mixture.zarr.zip", mixture)
     write_record(folder / "directions.zarr.zip", tuple(directions(machine, mixture, observations)))
@@ -249,9 +288,10 @@ def learn_into(
     checkpoint.unlink(missing_ok=True)
     error = _number(state.held_out_error)
     which, error = ("held-out", error) if error is not None else ("training", _number(state.train_error))
-    text = f"{len(names)} shapes, {which} error {error:.4f} diagonals" if error is not None else f"{len(names)} shapes"
+    number = len(names) if split is None else len(split[0])
+    text = f"{number} shapes, {which} error {error:.4f} diagonals" if error is not None else f"{number} shapes"
     task.summary |= {
-        "text": text, "shapes": len(names), "points": positions.shape[1], "epochs": state.epoch,
+        "text": text, "shapes": number, "points": positions.shape[1], "epochs": state.epoch,
         "train_error": _number(state.train_error), "held_out_error": _number(state.held_out_error),
         "stop_reason": state.stop_reason,
     }  # fmt: skip
@@ -262,96 +302,28 @@ def _epoch_text(state: Any) -> str:
     return f"epoch {state.epoch}: error {error:.4f}"
 
 
-# -- refine ----------------------------------------------------------------------------------------------------------
+def curve(project: Project, *, seed: int = 0, jobs: int | None = None) -> Iterator[Progress]:
+    """The learning curve of the fitted family: learning anew from a quarter, half and all of the shapes.
 
-
-def refine(task: Task) -> Iterator[Progress]:
-    """Joint analysis and synthesis: the machine is a prior on the fit, the refined fit teaches the machine, 3 times."""
-    from shapeforge.deformation.exemplars import blend
-    from shapeforge.deformation.fit import fit_templates
-    from shapeforge.deformation.hierarchy import corresponding_points
-
-    project, folder = task.project, task.folder
-    names, hierarchy = project.names, project.hierarchy()
-    labels, part_names, seeds = starting_parts(project)
-    write_names(folder / "names.zarr.zip", names)
-    checkpoint = folder / "alternation.zarr.zip"
-    number, of = 0, int(task.options["alternations"])
-    if checkpoint.is_file():
-        saved = read_record(checkpoint)[0]
-        number, state, machine, positions = (saved[key] for key in ("number", "state", "machine", "positions"))
-        yield task.progress("alternate", number, of, f"goes on after alternation {number}", state=state)
-    else:
-        state, machine = project.fit(), project.machine()
-        positions = stacked_positions(project, names)
-    while number < of:
-        prior = _prior(machine, positions, hierarchy, state.templates)
-        rounds = state.round + ROUNDS_PER_ALTERNATION
-        states = fit_templates(
-            project.shapes, starting_groups(project), labels, part_names, rounds=rounds,
-            rng=np.random.default_rng(number),
-            executor=task.workers, seeds=seeds, prior=prior, resume=state,
-        )  # fmt: skip
-        for state in states:
-            yield task.progress("alternate", number, of, f"alternation {number + 1}, {_round_text(state)}", state=state)
-
-        def corresponding(t: int, state: Any = state) -> np.ndarray:
-            beliefs = blend(state.candidates[t])
-            return beliefs.to_family(corresponding_points(project.shapes[t], beliefs, hierarchy)[0])
-
-        positions = np.stack(list(task.workers.map(corresponding, range(len(names)))))
-        number += 1
-        last = number == of
-        target = folder if last else folder / f"machine-{number}"
-        for progress in learn_into(task, target, names, positions, epochs=None, start=machine):
-            yield task.progress("alternate", number - 1, of, f"alternation {number}, {progress.message}")
-        machine = read_record(target / "machine.zarr.zip")[0]
-        saved = {"number": number, "state": state, "machine": machine, "positions": positions}
-        write_record(checkpoint, saved)
-        yield task.progress("alternate", number, of, f"alternation {number} of {of}", state=state)
-    write_record(folder / "hierarchy.zarr.zip", hierarchy)
-    yield from write_shapes(task, folder, state, hierarchy)
-    write_record(folder / "fit.zarr.zip", state)
-    task.summary |= {"text": f"{of} alternations, {task.summary.get('text', '')}", "alternations": of}
-    task.origin = {"of": _result(project, "fit"), "from": _result(project, "learn")}
-    checkpoint.unlink(missing_ok=True)
-    yield task.progress("faces", len(names), len(names), task.summary["text"], state=state)
-
-
-def _result(project: Project, stage: str) -> str | None:
-    return (project.stage_record(stage) or {}).get("result")
-
-
-def _prior(
-    machine: Any, positions: np.ndarray, hierarchy: Any, templates: Sequence[Any]
-) -> Callable[[int, int], tuple[np.ndarray, np.ndarray]]:
-    """The machine's opinion on every shape's corresponding points, handed down to the templates of its group."""
-    from shapeforge.generative.joint import shape_prior
-
-    found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-
-    def prior(t: int, g: int) -> tuple[np.ndarray, np.ndarray]:
-        if t not in found:
-            found.clear()  # asked shape by shape: the one at hand is enough
-            found[t] = shape_prior(machine, positions[t])
-        return on_template(*found[t], hierarchy.links[g], templates[g].n_points)
-
-    return prior
-
-
-def on_template(mean: np.ndarray, precision: np.ndarray, link: Any, n_points: int) -> tuple[np.ndarray, np.ndarray]:
-    """A Gaussian on top-level points (K, 3), handed to the template points that each is a convex mix of.
-
-    A template point takes the precision-weighted mean of what is said about the top-level points it takes part in;
-    where nothing is said its precision is 0.
+    The state of every progress is the list of ``CurvePoint`` so far, the last message says whether more shapes would
+    help.  Judged by the shapes that ``learn --test`` named, else by a fifth.  Raises StageError for too few shapes.
     """
-    mean, precision = np.asarray(mean, np.float64), np.asarray(precision, np.float64)
-    said = np.isfinite(mean) & np.isfinite(precision) & link.exists[:, None]
-    precision = np.where(said, precision, 0.0)
-    weighted = np.where(said, mean, 0.0) * precision
-    total, moment = np.zeros((n_points, 3)), np.zeros((n_points, 3))
-    for j in range(link.index.shape[1]):
-        share = link.weight[:, j, None]
-        np.add.at(total, link.index[:, j], share * precision)
-        np.add.at(moment, link.index[:, j], share * weighted)
-    return np.divide(moment, total, out=np.zeros_like(moment), where=total > 0), total
+    from shapeforge.generative.curve import SHARES, learning_curve, more_shapes
+    from shapeforge.generative.observations import observe
+
+    names, hierarchy = project.fit_names, project.hierarchy()
+    options = (project.stage_record("learn") or {}).get("options") or {}
+    split = named_split(names, options.get("train"), options.get("test"))
+    observations = observe(stacked_positions(project, names), hierarchy.top.label, tuple(hierarchy.top.part_names))
+    held_out = None
+    if split is not None:
+        observations = observations.subset(np.concatenate(split))
+        held_out = np.arange(len(split[0]), observations.n_shapes)
+    found: list[Any] = []
+    with threadpool_limits(1, "blas"), contextlib.closing(Workers(jobs)) as workers:
+        rng = np.random.default_rng(seed)
+        for point in learning_curve(observations, rng=rng, held_out=held_out, executor=workers):
+            found.append(point)
+            text = f"from {point.shapes} shapes: {100 * point.held_out_error:.2f}% of their size on those held out"
+            yield Progress("learn", "curve", len(found), len(SHARES), text, state=list(found))
+    yield Progress("learn", "curve", len(found), len(found), more_shapes(found)[1], state=found)

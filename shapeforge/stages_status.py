@@ -19,20 +19,13 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     "label": {},
     "cosegment": {"parts": None, "seed": 0, "edits": []},
     "fit": {"rounds": 10, "inner": 3, "seed": 0, "warm": False},
-    "learn": {"epochs": None, "seed": 0},
+    "learn": {"epochs": None, "train": None, "test": None, "seed": 0},
     "refine": {"alternations": 3, "seed": 0},
     "synthesize": {
-        "count": 20,
-        "temperature": 1.0,
-        "format": "glb",
-        "out": None,
-        "seed": 0,
-        "route": "parts",
-        "union": False,
-        "colours": "parts",
-        "take": [],
+        "count": 20, "temperature": 1.0, "having": [], "lacking": [], "hold": [], "like": "", "between": [], "take": [],
+        "route": "parts", "union": False, "colours": "parts", "format": "glb", "out": None, "seed": 0,
     },
-}
+}  # fmt: skip
 """Options of every stage.  An option that is not given keeps the value of the project's last run of the stage."""
 
 ARGUMENTS: dict[str, tuple[str, ...]] = {"import": ("meshes",), "label": ("labels", "only")}

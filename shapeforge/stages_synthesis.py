@@ -26,7 +26,7 @@ ROUTES = ("parts", "surface")
 
 def synthesize(task: Task) -> Iterator[Progress]:
     """``count`` new shapes: drawn, made of retrieved and bent parts, written as labelled meshes to ``out``."""
-    from shapeforge.generative.draw import draw
+    from shapeforge.stages_draws import drawn_as_asked
     from shapeforge.stages_recipes import points_of, recipe_of, write_recipe
 
     project, folder, options = task.project, task.folder, task.options
@@ -40,9 +40,8 @@ def synthesize(task: Task) -> Iterator[Progress]:
     if not np.isfinite(options["temperature"]):
         raise StageError(f"temperature: wanted a positive number, got {options['temperature']}")
     out = Path(options["out"] or project.path / "synthesized")
-    machine, mixture = project.machine(), project.mixture()
-    rng = np.random.default_rng(options["seed"])
-    drawn = draw(machine, mixture, count, rng=rng, temperature=float(options["temperature"]))
+    machine = project.machine()
+    drawn = drawn_as_asked(project, options, count, rng=np.random.default_rng(options["seed"]))
     sources = sources_of(project)
     make = mesh_maker(sources, options["route"], union=options["union"])
     taken = parts_taken(options["take"], sources, options["route"])

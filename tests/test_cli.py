@@ -14,6 +14,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from shapeforge.cli import run_command
+from shapeforge.cli_words import names_in
 from shapeforge.collection.families import write_family
 from shapeforge.collection.meshes import read_mesh
 from shapeforge.collection.shape import Mesh
@@ -280,6 +281,36 @@ def test_truth_about_other_shapes_is_no_truth(
     (tmp_path / "truth").write_text(content)
     status, _, err = run(capsys, "validate", folder / "project", option, tmp_path / "truth")
     assert status == 1 and expected in err and str(tmp_path / "truth") in err
+
+
+def test_names_of_shapes_come_from_the_line_or_from_files(tmp_path: Path) -> None:
+    file = tmp_path / "test.txt"
+    file.write_text("chair_0003\n\n chair 5 \n", encoding="utf-8")
+    assert names_in(["chair_0001,chair_0002", str(file)]) == ["chair_0001", "chair_0002", "chair_0003", "chair 5"]
+    assert names_in(None) is None
+
+
+def test_shapes_that_judge_are_named_in_a_file_and_few_shapes_give_no_curve(folder: Path, tmp_path: Path, capsys):
+    shutil.copytree(folder / "project", tmp_path / "p")
+    (tmp_path / "test.txt").write_text("chair_0003\n", encoding="utf-8")
+    line = ["learn", tmp_path / "p", "--epochs", "2", "--test", tmp_path / "test.txt", "--json"]
+    status, out, _ = run(capsys, *line)
+    found = json.loads(out.splitlines()[-1])
+    assert status == 0 and found["shapes"] == COUNT - 1 and found["held_out_error"] is not None
+    status, out, err = run(capsys, *line, "--test", "nobody")
+    assert status == 1 and "nobody" in err
+    status, out, err = run(capsys, *line[:-1], "--curve")
+    assert status == 1 and "fewer than 10 shapes" in err
+
+
+def test_draws_are_asked_for_by_the_names_of_parts(folder: Path, tmp_path: Path, capsys) -> None:
+    shutil.copytree(folder / "project", tmp_path / "p")
+    line = ["synthesize", tmp_path / "p", "--out", tmp_path / "o", "--count", "2", "--format", "ply"]
+    status, _, err = run(capsys, *line, "--without", "wheel")
+    assert status == 1 and "wheel" in err and "arm" in err
+    status, _, _ = run(capsys, *line, "--with", "arm", "--json")
+    project = Project.open(tmp_path / "p")
+    assert status == 0 and project.draws()["exists"][:, project.machine().part_names.index("arm")].all()
 
 
 def test_a_temperature_that_is_no_number(folder: Path, capsys) -> None:

@@ -22,9 +22,13 @@ from shapeforge.collection.iterate import last
 from shapeforge.collection.labels import read_seg
 from shapeforge.deformation.hierarchy import Link
 from shapeforge.deformation.warm import WARM_ROUNDS
+from shapeforge.generative.draw import draw
+from shapeforge.generative.inference import decode
 from shapeforge.stages import Progress, StageError, next_step, run, status
 from shapeforge.stages_collection import edits_of, merged_part_names
-from shapeforge.stages_model import on_template, starting_groups, starting_parts
+from shapeforge.stages_draws import drawn_as_asked, latents_of
+from shapeforge.stages_model import curve, named_split, starting_groups, starting_parts
+from shapeforge.stages_refine import judging_shapes, on_template
 from shapeforge.stages_status import corrections
 from shapeforge.store import PartNames, Project
 from shapeforge.workers import Workers
@@ -347,10 +351,19 @@ def test_the_prior_reaches_the_template_points_it_is_about() -> None:
     assert (got_precision[n - 1] == 0).all()
 
 
+def errors_one_by_one(monkeypatch: pytest.MonkeyPatch, errors: list[float]) -> None:
+    """What the shapes set aside say: as it was, refined, as it was, refined, …"""
+    said = iter(errors)
+    monkeypatch.setattr(
+        "shapeforge.generative.joint.held_out_errors", lambda machine, positions, _: np.full(len(positions), next(said))
+    )
+
+
 @pytest.mark.slow
-def test_refine_replaces_fit_and_machine(done: Project, tmp_path: Path) -> None:
+def test_refine_replaces_fit_and_machine(done: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     project = copy_of(done, tmp_path / "p")
     before, machine = contents(project), project.machine()
+    errors_one_by_one(monkeypatch, [0.02, 0.01])
     last(run(project, "refine", alternations=1))
     assert states(project)["refine"] == "done" and states(project)["synthesize"] == "stale"
     assert project.fit_stage == project.machine_stage == "refine"
@@ -358,6 +371,79 @@ def test_refine_replaces_fit_and_machine(done: Project, tmp_path: Path) -> None:
     assert not np.array_equal(project.machine().couplings[0], machine.couplings[0])
     last(run(project, "fit", rounds=1))
     assert project.fit_stage == "fit" and states(project)["refine"] == "stale"
+
+
+@pytest.mark.slow
+def test_refine_keeps_what_was_when_shapes_set_aside_get_worse(
+    done: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = copy_of(done, tmp_path / "p")
+    before, machine = contents(project), project.machine()
+    errors_one_by_one(monkeypatch, [0.02, 0.021])
+    final = last(run(project, "refine", alternations=3))
+    assert "stay as they were" in final.message and "2.000% to 2.100%" in final.message
+    summary = project.stage_record("refine")["summary"]
+    assert summary["kept"] == 0 and len(summary["held_out_errors"]) == 1, "it was the last"
+    assert states(project)["refine"] == "done" and project.fit_stage == project.machine_stage == "refine"
+    assert contents(project) == before
+    for mine, other in zip(project.machine().weights, machine.weights, strict=True):
+        np.testing.assert_array_equal(mine, other)
+
+
+@pytest.mark.slow
+def test_an_alternation_that_was_refused_is_undone_and_the_one_before_it_stays(
+    done: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    once, twice = copy_of(done, tmp_path / "once"), copy_of(done, tmp_path / "twice")
+    errors_one_by_one(monkeypatch, [0.02, 0.01])
+    last(run(once, "refine", alternations=1))
+    errors_one_by_one(monkeypatch, [0.02, 0.01, 0.01, 0.03])
+    last(run(twice, "refine", alternations=3))
+    assert twice.stage_record("refine")["summary"]["kept"] == 1 and contents(twice) == contents(once)
+
+
+def test_the_shapes_that_judge_are_no_exemplars_unless_named(done: Project, tmp_path: Path) -> None:
+    project = copy_of(done, tmp_path / "p")
+    for seed in range(5):
+        judges = judging_shapes(project, project.names, rng=np.random.default_rng(seed))
+        assert len(judges) == 2 and not set(judges.tolist()) & {0, 1}
+    last(run(project, "learn", epochs=2, test=[project.names[0]]))
+    assert judging_shapes(project, project.names, rng=np.random.default_rng(0)).tolist() == [0]
+
+
+# -- train and test shapes, learning curve ----------------------------------------------------------------------------
+
+
+def test_shapes_to_learn_from_and_to_judge_may_be_named(done: Project, tmp_path: Path) -> None:
+    names = done.names
+    train, test = named_split(names, None, [names[4], names[1]])
+    assert train.tolist() == [0, 2, 3, 5] and test.tolist() == [1, 4]
+    train, test = named_split(names, names[:3], [names[5]])
+    assert train.tolist() == [0, 1, 2] and test.tolist() == [5]
+    assert named_split(names, None, None) is None
+    for wrong in ((["nobody"], None), (names[:2], names[1:3]), (names[:1], None)):
+        with pytest.raises(StageError, match="--train"):
+            named_split(names, *wrong)
+    project = copy_of(done, tmp_path / "p")
+    last(run(project, "learn", epochs=2, test=[names[4], names[1]]))
+    summary = project.stage_record("learn")["summary"]
+    assert summary["shapes"] == 4 and "held-out" in summary["text"] and np.isfinite(summary["held_out_error"])
+    assert len(project.mixture().codes) == 4 and len(project.descriptors()[0]) == len(names)
+    assert states(project)["learn"] == "done"
+
+
+def test_the_learning_curve_says_whether_more_shapes_would_help(done: Project, tmp_path: Path, monkeypatch) -> None:
+    with pytest.raises(ValueError, match="fewer than 10"):
+        list(curve(done))
+    project = copy_of(done, tmp_path / "p")
+    last(run(project, "learn", epochs=2, test=[project.names[5]]))
+    monkeypatch.setattr("shapeforge.generative.learning.STEPS", 30)
+    with pytest.raises(ValueError, match="at least 2"):
+        list(curve(project))  # a quarter of five shapes is one
+    last(run(project, "learn", epochs=2, train=list(project.names[:4])))
+    monkeypatch.setattr("shapeforge.generative.curve.SHARES", (0.5, 1.0))
+    steps = list(curve(project))
+    assert [point.shapes for point in steps[-1].state] == [2, 4] and "more shapes would" in steps[-1].message
 
 
 def test_first_parts_bring_exemplars_unless_they_were_chosen_by_hand(tmp_path: Path, grouped: Project):
@@ -499,3 +585,44 @@ def test_a_new_shape_joins_the_exemplar_it_is_like(grouped: Project) -> None:
     without[members] = -1
     joined = join_groups(replace(groups, group=without), shapes, members)
     assert np.array_equal(joined.group, groups.group), "found among the same exemplars, it is the same group"
+
+
+# -- what is drawn ----------------------------------------------------------------------------------------------------
+
+
+def drawn(project: Project, count: int, **options: object) -> object:
+    settings = {**stages.DEFAULTS["synthesize"], **options}
+    return drawn_as_asked(project, settings, count, rng=np.random.default_rng(0))
+
+
+def test_draws_as_asked_for(done: Project) -> None:
+    machine, mixture = done.machine(), done.mixture()
+    plain = drawn(done, 5)
+    same = draw(machine, mixture, 5, rng=np.random.default_rng(0))
+    np.testing.assert_array_equal(plain.points, same.points)
+    arm, leg = machine.part_names.index("arm"), machine.part_names.index("leg")
+    found = drawn(done, 6, having=["arm"], lacking=["leg"])
+    assert found.exists[:, arm].all() and not found.exists[:, leg].any()
+    found = drawn(done, 3, hold=["1:2=0.9", "2:1=0"])
+    assert (found.latents.layers[0][:, 1] == np.float32(0.9)).all() and (found.latents.layers[1][:, 0] == 0).all()
+    first, other = done.fit_names[0], done.fit_names[3]
+    way = drawn(done, 5, between=[first, other])
+    near = drawn(done, 5, like=first, temperature=0.01)
+    ends = [done.machine().to_positions(decode(machine, latents_of(done, machine, name)), e[None])[0]
+            for name, e in ((first, way.exists[0]), (other, way.exists[4]))]  # fmt: skip
+    for got, end in ((way.points[0], ends[0]), (way.points[4], ends[1]), (near.points[2], ends[0])):
+        there = np.isfinite(end[:, 0]) & np.isfinite(got[:, 0])
+        assert there.any() and np.linalg.norm(got - end, axis=1)[there].mean() < 2e-3
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"having": ["wheel"]}, {"having": ["arm"], "lacking": ["arm"]}, {"hold": ["1:2"]}, {"hold": ["9:1=0.5"]},
+        {"hold": ["1:1=2"]}, {"like": "nobody"}, {"between": ["chair_0000"]},
+        {"between": ["chair_0000", "chair_0001"], "like": "chair_0000"},
+    ],
+)  # fmt: skip
+def test_what_cannot_be_drawn_is_said(done: Project, options: dict) -> None:
+    with pytest.raises(StageError, match=r"wanted|called|asked for"):
+        drawn(done, 2, **options)

@@ -15,6 +15,7 @@ from shapeforge.generative.learning import learn_machine, reconstruction_error, 
 from shapeforge.generative.machine import layer_sizes
 from shapeforge.generative.observations import Observations
 
+SHARES = (0.25, 0.5, 1.0)
 WORTH = 0.07
 """Twice as many shapes are worth having when they are expected to lower the error by this share."""
 
@@ -33,7 +34,7 @@ def learning_curve(
     observations: Observations,
     *,
     rng: np.random.Generator,
-    shares: Sequence[float] = (0.25, 0.5, 1.0),
+    shares: Sequence[float] | None = None,
     held_out: Int[np.ndarray, " n"] | None = None,
     epochs: int | None = None,
     executor: Executor | None = None,
@@ -41,8 +42,9 @@ def learning_curve(
     """Learn from a growing share of the shapes, one point each; the same held-out shapes judge all (a fifth, or those
     named by index).  The smaller sets lie within the larger ones, and all machines have units for the largest.
 
-    Raises ValueError when a share leaves fewer than 2 shapes or nothing is held out.
+    ``shares`` are by default SHARES.  Raises ValueError when a share leaves fewer than 2 shapes or nothing is held out.
     """
+    shares = SHARES if shares is None else shares
     train, judges = split(observations, 0.2, rng=rng, held_out=held_out)
     counts = [round(share * train.n_shapes) for share in shares]
     if judges is None or min(counts) < 2 or max(counts) > train.n_shapes:

@@ -60,7 +60,7 @@ class Draw:
 def fit_mixture(machine: BetaShapeMachine, observations: Observations) -> Mixture:
     """The kernels of a family: what the machine takes each of its shapes to be."""
     latents = infer(machine, observations.values, observations.exists)
-    codes = np.clip(np.concatenate([logit(layer) for layer in latents.layers], axis=1), -LARGEST_LOGIT, LARGEST_LOGIT)
+    codes = _kept(np.concatenate([logit(layer) for layer in latents.layers], axis=1))
     patterns, which = np.unique(observations.exists, axis=0, return_inverse=True)
     return Mixture(codes.astype(np.float32), np.array(machine.sizes), patterns, which.reshape(-1))
 
@@ -81,8 +81,6 @@ def draw(
     """
     if n < 1:
         raise ValueError(f"n: wanted at least 1 shape, got {n}; usually a count of 0 was asked for")
-    if temperature <= 0:
-        raise ValueError(f"temperature: wanted a positive number, got {temperature}; use e.g. 0.1 for typical shapes")
     codes, states = draw_codes(mixture, n, rng=rng, exists=exists, temperature=temperature)
     latents = Latents(mixture.layers(codes.astype(machine.dtype)), states)
     return Draw(machine.to_positions(decode(machine, latents), states), states, latents)
@@ -97,46 +95,80 @@ def draw_codes(
     temperature: float = 1.0,
     prefer: Float[np.ndarray, " T"] | None = None,
     needed: Int[np.ndarray, " m"] | None = None,
+    unwanted: Int[np.ndarray, " m2"] | None = None,
 ) -> tuple[Float[np.ndarray, "n A"], Bool[np.ndarray, "n L"]]:
     """Codes (n, A) and parts (n, L) of n draws.
 
-    ``prefer`` (nats) says which shapes to start from rather than others; parts ``needed`` (by index) are there.
+    ``prefer`` (nats) says which shapes to start from rather than others; parts ``needed`` (by index) are there, those
+    ``unwanted`` are not, and the rest as on the shapes that come nearest to this.
     """
+    _check(temperature)
     of_shape = mixture.patterns[mixture.which]
-    lacking = np.zeros(len(of_shape), int)
+    on, off = (np.zeros(0, int) if some is None else some for some in (needed, unwanted))
     if exists is not None:
         lacking = (of_shape != exists).sum(axis=1)
-    elif needed is not None:
-        lacking = (~of_shape[:, needed]).sum(axis=1)
+    else:
+        lacking = (~of_shape[:, on]).sum(axis=1) + of_shape[:, off].sum(axis=1)
     weight = np.where(lacking == lacking.min(), 0.0 if prefer is None else prefer, -np.inf)
-    weight = np.exp(weight - weight.max())
-    chosen = rng.choice(len(weight), n, p=weight / weight.sum())
+    chosen = _spread_choice(np.exp(weight - weight.max()), n, rng)
     states = of_shape[chosen] if exists is None else np.broadcast_to(exists, (n, len(exists))).copy()
-    if needed is not None:
-        states[:, needed] = True
-    return _around(mixture, chosen, temperature, rng), states
+    states[:, on], states[:, off] = True, False
+    which = mixture.which[chosen]
+    middle = _means(mixture)[which]
+    away = np.sqrt(1 - WIDTH**2) * (mixture.codes[chosen] - middle) + WIDTH * _variation(mixture, which, rng)
+    return _kept(middle + temperature * away), states
 
 
-def _around(mixture: Mixture, chosen: np.ndarray, temperature: float, rng: np.random.Generator) -> np.ndarray:
-    """Codes (n, A) near those of the chosen shapes."""
+def _spread_choice(weight: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
+    """n indices, each drawn in proportion to its weight, together as evenly as n allows (systematic sampling): draws
+    made at once start from different shapes as long as there are enough."""
+    order = rng.permutation(len(weight))
+    upto = np.cumsum(weight[order])
+    chosen = np.searchsorted(upto, (np.arange(n) + rng.random()) * (upto[-1] / n), side="right")
+    return rng.permutation(order[np.minimum(chosen, len(order) - 1)])
+
+
+def codes_near(
+    mixture: Mixture, start: Latents, n: int, *, rng: np.random.Generator, temperature: float = 1.0
+) -> Float[np.ndarray, "n A"]:
+    """Codes (n, A) near that of one shape: the lower the temperature the nearer."""
+    _check(temperature)
+    own = _kept(np.concatenate([logit(layer[:1]) for layer in start.layers], axis=1))
+    alike = int((mixture.patterns != start.exists[:1]).sum(axis=1).argmin())
+    return _kept(own + temperature * WIDTH * _variation(mixture, np.full(n, alike), rng))
+
+
+def _check(temperature: float) -> None:
+    if temperature <= 0:
+        raise ValueError(f"temperature: wanted a positive number, got {temperature}; use e.g. 0.1 for typical shapes")
+
+
+def _kept(codes: np.ndarray) -> np.ndarray:
+    return np.clip(codes, -LARGEST_LOGIT, LARGEST_LOGIT)
+
+
+def _means(mixture: Mixture) -> np.ndarray:
+    """Mean code (S, A) of the shapes with each combination of parts."""
+    return np.stack([mixture.codes[mixture.which == index].mean(axis=0) for index in range(len(mixture.patterns))])
+
+
+def _variation(mixture: Mixture, which: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Random moves (n, A) of the size and kind that shapes with the same parts (S index ``which`` (n,)) differ by."""
     counts = np.bincount(mixture.which)
-    means = np.stack([mixture.codes[mixture.which == index].mean(axis=0) for index in range(len(counts))])
-    moved = mixture.codes - means[mixture.which]
+    moved = mixture.codes - _means(mixture)[mixture.which]
     free = len(moved) - len(counts)
     # Where no two shapes have the same parts, all are taken as one crowd.
     everybody, free = (
         (moved, free) if free > 0 else (mixture.codes - mixture.codes.mean(axis=0), max(len(moved) - 1, 1))
     )
-    codes = np.empty((len(chosen), moved.shape[1]))
-    for index in np.unique(mixture.which[chosen]):
-        rows, own = mixture.which[chosen] == index, moved[mixture.which == index]
+    noise = np.empty((len(which), moved.shape[1]))
+    for index in np.unique(which):
+        rows, own = which == index, moved[mixture.which == index]
         trust = 0.0 if len(own) < 2 else len(own) / (len(own) + FEW)
         alike = rng.standard_normal((rows.sum(), len(own))) @ own / np.sqrt(max(len(own) - 1, 1))
         others = rng.standard_normal((rows.sum(), len(moved))) @ everybody / np.sqrt(free)
-        noise = np.sqrt(trust) * alike + np.sqrt(1 - trust) * others
-        away = np.sqrt(1 - WIDTH**2) * moved[chosen[rows]] + WIDTH * noise
-        codes[rows] = means[index] + temperature * away
-    return np.clip(codes, -LARGEST_LOGIT, LARGEST_LOGIT)
+        noise[rows] = np.sqrt(trust) * alike + np.sqrt(1 - trust) * others
+    return noise
 
 
 def shape_of_top(machine: BetaShapeMachine, top: Float[np.ndarray, "n O"], exists: Bool[np.ndarray, "n L"]) -> Draw:

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from shapeforge.generative.draw import Draw, Mixture, draw_codes
+from shapeforge.generative.draw import Draw, Mixture, codes_near, draw_codes
 from shapeforge.generative.inference import (
     DOWN_ROUNDS,
     Latents,
@@ -46,6 +46,9 @@ def draw_given(
     points: Float[np.ndarray, "K 3"] | None = None,
     clamped: Clamped | None = None,
     exists: Bool[np.ndarray, " L"] | None = None,
+    needed: Int[np.ndarray, " m"] | None = None,
+    unwanted: Int[np.ndarray, " m2"] | None = None,
+    start: Latents | None = None,
     tolerance: float = 0.005,
     temperature: float = 1.0,
 ) -> Draw:
@@ -53,9 +56,11 @@ def draw_given(
 
     ``points`` (normal coordinates, NaN where nothing is known) are met up to about ``tolerance`` diagonals, as far as
     the family can; their parts exist.  ``clamped`` units stay at their values, and shapes are drawn that suit them.
-    ``exists`` asks for these parts, ``temperature`` is that of ``draw``.
+    ``exists`` asks for these parts; or parts ``needed`` (by index) are there, ``unwanted`` ones are not, and the rest
+    as the family has them.  With ``start`` all are near that shape, and have its parts where none are asked for.
+    ``temperature`` is that of ``draw``.
 
-    Raises ValueError for a unit that does not exist, or a point whose part ``exists`` leaves out.
+    Raises ValueError for a unit that does not exist, or a point whose part is not to be there.
     """
     clamped = dict(clamped or {})
     for (layer, unit), value in clamped.items():
@@ -65,11 +70,13 @@ def draw_given(
                 f"({layer}, {unit}): {value}; layers and units count from 0"
             )
     known = np.zeros(0, np.int64) if points is None else np.flatnonzero(np.isfinite(points).all(axis=1))
-    needed = np.unique(machine.part[known])
-    if exists is not None and not exists[needed].all():
-        missing = ", ".join(machine.part_names[part] for part in needed if not exists[part])
+    on, off = (np.zeros(0, np.int64) if some is None else some for some in (needed, unwanted))
+    on = np.union1d(on, np.unique(machine.part[known])).astype(np.int64)
+    possible = ~np.isin(np.arange(machine.n_parts), off) if exists is None else exists
+    if not possible[on].all():
+        missing = ", ".join(machine.part_names[part] for part in on if not possible[part])
         raise ValueError(
-            f"exists: wanted the parts whose points are given, got none of {missing}; "
+            f"exists: wanted the parts that are needed or whose points are given, got none of {missing}; "
             "give no points of parts that the shape is not to have"
         )
     prefer = np.zeros(len(mixture.codes))
@@ -86,10 +93,15 @@ def draw_given(
         )
         prefer -= _tempered(squares)
     count = max(n, ENSEMBLE) if len(known) else n
-    codes, states = draw_codes(
-        mixture, count, rng=rng, exists=exists, temperature=temperature, prefer=prefer, needed=needed
-    )
-    latents = Latents(_held(machine, mixture.layers(codes.astype(machine.dtype)), clamped), states)
+    if start is None:
+        codes, states = draw_codes(
+            mixture, count, rng=rng, exists=exists, temperature=temperature, prefer=prefer, needed=on, unwanted=off
+        )
+    else:
+        codes = codes_near(mixture, start, count, rng=rng, temperature=temperature)
+        states = np.repeat(start.exists[:1] if exists is None else exists[None], count, axis=0)
+        states[:, on], states[:, off] = True, False
+    latents = Latents(held(machine, mixture.layers(codes.astype(machine.dtype)), clamped), states)
     if len(known):
         latents = _met(machine, latents, points, known, clamped, tolerance, rng)[:n]
     return Draw(machine.to_positions(decode(machine, latents), latents.exists), latents.exists, latents)
@@ -122,7 +134,7 @@ def _tempered(cost: np.ndarray) -> np.ndarray:
     return low * (cost - cost.min())
 
 
-def _held(machine: BetaShapeMachine, layers: tuple[np.ndarray, ...], clamped: Clamped) -> tuple[np.ndarray, ...]:
+def held(machine: BetaShapeMachine, layers: tuple[np.ndarray, ...], clamped: Clamped) -> tuple[np.ndarray, ...]:
     """All layers with some units held: the layers below change by what holding them changes in the top-down mean field,
     and keep what it does not explain."""
     if not clamped:

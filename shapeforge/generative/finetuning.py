@@ -4,7 +4,7 @@ Up: three rounds through all layers from the points.  The top (H3 in the print) 
 derivative is that of its probability).  Down: the layers below, the points.  The loss asks the shape back twice, from
 H1 and from the sampled top, and keeps q(top) near a prior p(top | E) so that the top stays a code worth drawing from:
 
-    100 error(from the top) + 30 error(from H1) + β KL(q(top) || p(top | E))
+    100 error(from the top) + 100 error(from H1) + β KL(q(top) || p(top | E))
 
 Errors are means over all coordinates, each part's divided by the share of shapes that have the part: a part seldom seen
 is learned as well as a common one.
@@ -23,7 +23,7 @@ from shapeforge.generative._kernels import reconstruction_loss
 from shapeforge.generative.inference import DOWN_ROUNDS, UP_ROUNDS, gated_features, settle, sigmoid
 from shapeforge.generative.machine import FLOOR, BetaShapeMachine
 
-TOP_WEIGHT, FIRST_WEIGHT, DIVERGENCE_WEIGHT = 100.0, 30.0, 1e-3
+TOP_WEIGHT, FIRST_WEIGHT, DIVERGENCE_WEIGHT = 100.0, 100.0, 1e-3
 ROUNDING = 2e-3
 """Residuals count as |r|, rounded off below this (in the unit interval), so that the loss has a derivative."""
 

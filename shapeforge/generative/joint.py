@@ -6,10 +6,12 @@ with the precision of what the machine leaves unexplained on shapes it never saw
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
 
 from shapeforge.generative.inference import decode, infer
 from shapeforge.generative.machine import BetaShapeMachine
@@ -54,3 +56,25 @@ def reconstruct(
     seen = observe(positions, machine.part, machine.part_names, machine.low, machine.high)
     latents = infer(machine, seen.values, seen.exists)
     return machine.to_positions(decode(machine, latents.top if from_top else latents), seen.exists), seen.exists
+
+
+def held_out_errors(
+    machine: BetaShapeMachine, positions: Float[np.ndarray, "n K 3"], surfaces: Sequence[np.ndarray]
+) -> Float[np.ndarray, " n"]:
+    """How far the machine's idea of shapes that it did not learn from is from their surfaces, in diagonals.
+
+    ``surfaces`` holds points (P, 3) on every shape, in the frame of the corresponding ``positions``: what the shapes
+    are, whatever corresponds to what.  Mean distance to the nearest point, from the points that the machine gives back
+    (from the top) to the surface and the other way, averaged over both ways.
+    """
+    found = []
+    for points, surface in zip(reconstruct(machine, positions)[0], surfaces, strict=True):
+        again = points[np.isfinite(points).all(axis=1)]
+        found.append((cKDTree(surface).query(again)[0].mean() + cKDTree(again).query(surface)[0].mean()) / 2)
+    return np.array(found)
+
+
+def is_worse(before: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"]) -> bool:
+    """Whether errors of the same shapes rose by more than the standard error of their mean rise: less is chance."""
+    rise = after - before
+    return bool(rise.mean() > rise.std() / np.sqrt(max(len(rise) - 1, 1)))

@@ -172,22 +172,31 @@ def _map(value, change):
     return tuple(change(item) for item in value) if isinstance(value, tuple) else change(value)
 
 
+LEAST_UNITS = 40
+"""Units of H1 that a part gets however few its points: a tailplane of 40 points varies no less than one of 400."""
+
+SMALL_FAMILY = 200
+"""Shapes up to which two layers explain held-out shapes better than three (docs/paper.md)."""
+
 Sizes = tuple[list[int] | int, ...]
 """Units of every layer: of H1 a list, one number per part; of each further layer a number."""
 
 
-def layer_sizes(points_per_part: list[int], n_shapes: int, layers: int = 3) -> Sizes:
-    """Units of H1 per part, then of each further layer.
+def layer_sizes(points_per_part: list[int], n_shapes: int, layers: int | None = None) -> Sizes:
+    """Units of H1 per part, then of each further layer (by default three layers, or two for a SMALL_FAMILY).
 
     The print: H1 = a tenth of the part's coordinates, H2 = H1/5, H3 = H2/2.5.  Wider tops (/3, /1.5) reconstruct
-    better.  With few shapes more units than shapes explain nothing further, so a part's share is capped by T.
+    better, and so do small parts with at least LEAST_UNITS.  With few shapes more units than shapes explain nothing
+    further, so a part's share is capped by T.
 
     Raises ValueError without a layer.
     """
+    if layers is None:
+        layers = 2 if n_shapes <= SMALL_FAMILY else 3
     if layers < 1:
         raise ValueError(f"layers: wanted at least 1, got {layers}; the paper has 3")
     cap = max(16, n_shapes)
-    first = [min(max(round(3 * n / 10), 4), cap) for n in points_per_part]
+    first = [min(max(round(3 * n / 10), min(LEAST_UNITS, 3 * n), 4), cap) for n in points_per_part]
     above, size = [], float(sum(first))
     for index in range(layers - 1):
         size = max(8, round(size / (3 if index == 0 else 1.5)))

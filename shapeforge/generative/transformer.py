@@ -30,7 +30,7 @@ class ShapeDescriptors(TransformerMixin, BaseEstimator):
         part: Int[np.ndarray, " K"] | None = None,
         part_names: Sequence[str] | None = None,
         *,
-        layers: int = 3,
+        layers: int | None = None,
         epochs: int | None = None,
         existence_weight: float = 0.25,
         random_state: int = 0,

@@ -124,6 +124,19 @@ def bundles(machine: BetaShapeMachine, observations: Observations, count: int = 
     return [_named(direction, index) for index, direction in enumerate(found[:count])]
 
 
+def middle_shape(machine: BetaShapeMachine, observations: Observations) -> Latents:
+    """The mean, in the logits of all layers, of the shapes with the commonest combination of parts (one shape).
+
+    Figure 7's bundles show from here: on a shape of the family units are mostly all on or all off, and stay so.
+    """
+    patterns, which, counts = np.unique(observations.exists, axis=0, return_inverse=True, return_counts=True)
+    common = int(counts.argmax())
+    chosen = observations.subset(np.flatnonzero(which.reshape(-1) == common))
+    latents = infer(machine, chosen.values, chosen.exists)
+    means = (_logits(layer).mean(axis=0, keepdims=True) for layer in latents.layers)
+    return Latents(tuple(sigmoid(mean).astype(machine.dtype) for mean in means), patterns[common : common + 1])
+
+
 def _logits(layer: np.ndarray) -> np.ndarray:
     return np.clip(logit(layer), -6, 6).astype(float)
 

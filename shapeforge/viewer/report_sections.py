@@ -214,7 +214,7 @@ def recorded_movement(project: Any) -> np.ndarray:
 def directions(project: Any) -> str:
     """Every slider: both its ends, where it moves the shape, and where the family lies."""
     from shapeforge.generative.inference import infer
-    from shapeforge.generative.units import bundles, drive
+    from shapeforge.generative.units import bundles, drive, middle_shape
     from shapeforge.viewer.palette import heat
 
     directions, machine, observations = project.directions(), project.machine(), project.observations()
@@ -226,18 +226,21 @@ def directions(project: Any) -> str:
     base_index = int(np.flatnonzero(which == counts.argmax())[0])
     one = slice(base_index, base_index + 1)
     base = infer(machine, observations.values[one], observations.exists[one])
+    middle = middle_shape(machine, observations)
     blocks = []
     for index, direction in enumerate(directions):
-        ends = [
-            drive(machine, base, {index: value}, directions=directions) for value in (direction.low, direction.high)
-        ]
-        middle = drive(machine, base, {}, directions=directions)
-        pictures = (
-            likeness.points_picture(ends[0], colours, WIDE),
-            likeness.points_picture(middle, heat(np.asarray(direction.heat, float)), WIDE),
-            likeness.points_picture(ends[1], colours, WIDE),
+        of_bundle = direction.kind == "bundle"
+        start = middle if of_bundle else base
+        low, half, high = (
+            np.asarray(drive(machine, start, {index: value}, directions=directions))
+            for value in (direction.low, (direction.low + direction.high) / 2 if of_bundle else 0.0, direction.high)
         )
-        words = ("low end", "what moves", "high end")
+        between = colours if of_bundle else heat(np.asarray(direction.heat, float))
+        pictures = [
+            likeness.points_picture(points, shown, WIDE)
+            for points, shown in ((low, colours), (half, between), (high, colours))
+        ]
+        words = ("at 0", "at ½", "at 1") if of_bundle else ("low end", "what moves", "high end")
         three = "".join(image(p, f"{direction.name}, {w}") for p, w in zip(pictures, words, strict=True))
         bars = svg.histogram(
             direction.histogram, direction.edges, title="shapes of the family along this slider", width=450
@@ -249,7 +252,8 @@ def directions(project: Any) -> str:
         )
     note = "Left: the slider's low end. Middle: where it moves the shape (dark red: most). Right: its high end."
     note += " Bars: where the shapes of the family lie, the line is 0."
-    note += " A bundle is one unit of the second layer with all those of the first that it drives."
+    note += " A bundle is one unit of the second layer with all those of the first that it drives, at 0, ½ and 1"
+    note += " from the middle of the family."
     return f"<p class=note>{note}</p><div class=cards>{''.join(blocks)}</div>"
 
 

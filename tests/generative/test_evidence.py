@@ -8,6 +8,7 @@ from shapeforge.generative.draw import draw, fit_mixture
 from shapeforge.generative.evidence import between, draw_given
 from shapeforge.generative.inference import decode, infer
 from shapeforge.generative.learning import learn_machine
+from shapeforge.generative.machine import layer_sizes
 from shapeforge.generative.observations import observe
 from tests.generative.synthetic import PART_NAMES, chair_family
 
@@ -17,7 +18,9 @@ def learned():
     positions, part, _ = chair_family(60, rng=np.random.default_rng(0), density=0.2)
     observations = observe(positions, part, PART_NAMES)
     train, test = observations.subset(np.arange(50)), observations.subset(np.arange(50, 60))
-    machine = last(learn_machine(train, rng=np.random.default_rng(1), epochs=300, pretraining=40)).machine
+    sizes = layer_sizes(np.bincount(part).tolist(), train.n_shapes, layers=3)
+    settings = {"epochs": 300, "pretraining": 40, "sizes": sizes}
+    machine = last(learn_machine(train, rng=np.random.default_rng(1), **settings)).machine
     return train, test, machine, fit_mixture(machine, train)
 
 
@@ -101,3 +104,31 @@ def test_the_way_between_two_shapes_begins_and_ends_there(learned):
     np.testing.assert_array_equal(way.exists[[0, 4]], train.exists[[0, 7]])
     steps = np.abs(np.diff(values, axis=0)).mean(axis=(1, 2))
     assert steps.max() < 0.6 * np.abs(values[4] - values[0]).mean() + 1e-3
+
+
+def test_parts_asked_for_are_there_and_the_rest_is_as_the_family_has_it(learned):
+    family, _, machine, mixture = learned
+    names = list(PART_NAMES)
+    arms, legs = names.index("arms"), names.index("legs")
+    needed, unwanted = np.array([arms]), np.array([legs])
+    drawn = draw_given(machine, mixture, 40, rng=np.random.default_rng(0), needed=needed, unwanted=unwanted)
+    seen = {tuple(row) for row in family.exists}
+    assert drawn.exists[:, arms].all() and not drawn.exists[:, legs].any()
+    assert {tuple(row) for row in drawn.exists} <= seen
+    with pytest.raises(ValueError, match="arms"):
+        draw_given(machine, mixture, 1, rng=np.random.default_rng(0), needed=needed, unwanted=needed)
+
+
+def test_draws_near_a_shape_come_nearer_as_the_temperature_falls(learned):
+    family, _, machine, mixture = learned
+    start = infer(machine, family.values[3:4], family.exists[3:4])
+    own = machine.to_positions(decode(machine, start), start.exists)[0]
+    there = np.isfinite(own[:, 0])
+    away = []
+    for temperature in (1.0, 0.3, 0.01):
+        drawn = draw_given(machine, mixture, 20, rng=np.random.default_rng(0), start=start, temperature=temperature)
+        assert (drawn.exists == start.exists).all()
+        away.append(float(np.linalg.norm(drawn.points - own, axis=2)[:, there].mean()))
+    assert away[0] > 2 * away[1] > 4 * away[2] and away[2] < 2e-3
+    with pytest.raises(ValueError, match="temperature"):
+        draw_given(machine, mixture, 1, rng=np.random.default_rng(0), start=start, temperature=0.0)

@@ -9,14 +9,14 @@ import pytest
 from shapeforge.collection.iterate import last
 from shapeforge.generative.baselines import draw_from_components, fit_principal_components, reconstruct_by_components
 from shapeforge.generative.descriptors import describe_shapes
-from shapeforge.generative.draw import Mixture, draw, fit_mixture
+from shapeforge.generative.draw import Mixture, _spread_choice, draw, fit_mixture
 from shapeforge.generative.inference import decode, infer
-from shapeforge.generative.joint import family_prior, shape_prior
+from shapeforge.generative.joint import family_prior, held_out_errors, is_worse, shape_prior
 from shapeforge.generative.learning import learn_machine, reconstruction_error, split, vary
-from shapeforge.generative.machine import BetaShapeMachine
+from shapeforge.generative.machine import BetaShapeMachine, layer_sizes
 from shapeforge.generative.observations import observe
 from shapeforge.generative.paper_form import to_paper
-from shapeforge.generative.units import bundles, directions, drive
+from shapeforge.generative.units import bundles, directions, drive, middle_shape
 from tests.generative.synthetic import PART_NAMES, chair_family
 
 
@@ -114,6 +114,16 @@ def test_draws_keep_to_the_parts_seen_and_differ(family, learned, mixture):
     np.testing.assert_array_equal(again.points, drawn.points)
 
 
+def test_draws_made_at_once_start_from_every_shape_as_often_as_its_weight_asks():
+    weight, rng = np.array([1.0, 0.0, 3.0, 2.0]), np.random.default_rng(0)
+    for n in (1, 4, 60):
+        counts = np.array([np.bincount(_spread_choice(weight, n, rng), minlength=4) for _ in range(300)])
+        expected = n * weight / weight.sum()
+        assert (np.abs(counts - expected) < 1).all()
+        np.testing.assert_allclose(counts.mean(axis=0), expected, atol=0.15)
+    assert len(np.unique(_spread_choice(np.ones(50), 50, rng))) == 50
+
+
 def test_draw_with_parts_asked_for(learned, mixture):
     wanted = np.array([True, True, True, False, False, False])
     drawn = draw(learned.machine, mixture, 5, rng=np.random.default_rng(0), exists=wanted)
@@ -160,6 +170,31 @@ def test_a_bundle_is_seen_and_goes_one_way(family, learned):
     assert along == sorted(along) and along[2] == pytest.approx(0.5, abs=0.3)
 
 
+def test_the_middle_shape_lies_among_those_with_the_commonest_parts(family, learned):
+    train, machine = family[0], learned.machine
+    patterns, counts = np.unique(train.exists, axis=0, return_counts=True)
+    middle = middle_shape(machine, train)
+    np.testing.assert_array_equal(middle.exists[0], patterns[counts.argmax()])
+    alike = train.positions()[(train.exists == middle.exists).all(axis=1)]
+    there = np.isfinite(alike[0, :, 0])
+    points = machine.to_positions(decode(machine, middle), middle.exists)[0][there]
+
+    def mean_distance(one):
+        return np.linalg.norm(alike[:, there] - one, axis=2).mean(axis=1)
+
+    assert mean_distance(points).mean() < min(np.delete(mean_distance(a[there]), i).mean() for i, a in enumerate(alike))
+
+
+def test_small_parts_get_units_of_their_own():
+    assert layer_sizes([40, 400, 2], 500) == ([40, 120, 6], 55, 37)
+    assert layer_sizes([40, 400, 2], 20, layers=3) == ([20, 20, 6], 15, 10)
+
+
+def test_a_small_family_gets_two_layers_unless_asked():
+    assert len(layer_sizes([40, 400], 200)) == 2 and len(layer_sizes([40, 400], 201)) == 3
+    assert len(layer_sizes([40, 400], 200, layers=4)) == 4
+
+
 def test_descriptors_tell_classes_apart(family, learned):
     train, test, classes = family
     known, new = describe_shapes(learned.machine, train), describe_shapes(learned.machine, test)
@@ -178,6 +213,21 @@ def test_prior_is_near_the_shape_and_silent_where_nothing_is(family, learned):
     prior = family_prior(machine, test)
     gaps = ((prior.mean - test.positions()) ** 2 * prior.precision)[np.isfinite(prior.mean)]
     assert 0.2 < gaps.mean() < 5
+
+
+def test_shapes_set_aside_are_judged_by_their_surfaces(family, learned):
+    test, machine = family[1], learned.machine
+    positions = test.positions()[:4]
+    surfaces = [p[np.isfinite(p[:, 0])] for p in positions]
+    errors = held_out_errors(machine, positions, surfaces)
+    assert errors.shape == (4,) and 0 < errors.min() and errors.max() < 0.05
+    swapped = positions.copy()
+    there = np.flatnonzero(np.isfinite(positions[0, :, 0]))
+    swapped[0, there] = positions[0, there[::-1]]  # on the surface, and all wrong
+    wrong = held_out_errors(machine, swapped, surfaces)
+    assert wrong[0] > 1.5 * errors[0] and np.array_equal(wrong[1:], errors[1:])
+    assert is_worse(errors, errors + 1e-4) and not is_worse(errors, errors) and not is_worse(errors, errors - 1e-4)
+    assert not is_worse(np.zeros(4), np.array([1.0, -1.1, 1.0, -0.8])), "as good as chance"
 
 
 def test_variations_stay_in_the_family_and_leave_lone_shapes_alone(family):

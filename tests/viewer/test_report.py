@@ -109,8 +109,12 @@ def test_every_shape_is_there_three_times_and_looks_different(whole):
         colourful = parts[parts[..., 3] > 200][:, :3].astype(int)
         assert (np.ptp(colourful, axis=1) > 80).mean() > 0.5
         assert not np.array_equal(parts, places)
-    shown = [*whole.directions(), *bundles(whole.machine(), whole.observations(), BUNDLES)]
-    assert sum("low end" in image["alt"] for image in page.images) == len(shown) > len(whole.directions())
+    found = bundles(whole.machine(), whole.observations(), BUNDLES)
+    for shown, words in ((whole.directions(), ("low end", "high end")), (found, ("at 0", "at ½", "at 1"))):
+        assert shown and all(f"{one.name}, {end}" in by_alt for one in shown for end in words)
+        assert sum(image["alt"].endswith(words[0]) for image in page.images) == len(shown)
+    low, half, high = (by_alt[f"{found[0].name}, {end}"].astype(int) for end in ("at 0", "at ½", "at 1"))
+    assert not np.array_equal(low, half) and not np.array_equal(half, high), "a bundle must be seen to do something"
     for name in whole.draws()["names"]:
         assert name in by_alt
 

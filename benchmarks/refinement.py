@@ -1,0 +1,127 @@
+"""Does ``refine`` help the correspondences?  Before, after, and after without its guard, on generated families.
+
+    python -m benchmarks.refinement [--families chairs airplanes] [--seeds 3] [--seed 0] [--shapes 24] [--points 1200]
+                                    [--alternations 3] [--json]
+
+A project is made of each family (its groups' exemplars painted by the truth), fitted, learned and refined.  corr@r is
+against the dense truth: every corresponding point of a shape is carried by the truth to every other shape that has the
+component, and is right where that shape's own corresponding point is no further away than r diagonals; ordered pairs
+pooled.  ``kept`` counts the alternations that the shapes set aside did not refuse.  The last line is one JSON object.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+import tempfile
+import time
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+
+from shapeforge.collection.families import Generated, address_at, nearest_on_mesh, position_of, write_family
+from shapeforge.collection.iterate import last
+from shapeforge.stages import run
+from shapeforge.store import Project
+from shapeforge.validation.statistics import format_table
+
+RADII = (0.02, 0.05)
+TOLERANCE = 0.15
+
+
+def made_project(folder: Path, family: str, seed: int, options: argparse.Namespace) -> tuple[Project, list[Generated]]:
+    """A fitted and learned project of a generated family."""
+    made = write_family(folder / "meshes", family, options.shapes, seed=seed, broken=0.0)
+    project = Project.create(folder / "project")
+    last(run(project, "import", meshes=[folder / "meshes"], points=options.points, up="y", jobs=1))
+    last(run(project, "group", jobs=1))
+    last(run(project, "label", labels=folder / "meshes", only="exemplars"))
+    last(run(project, "fit", jobs=1))
+    last(run(project, "learn", jobs=1))
+    return project, made
+
+
+def dense_corr(project: Project, made: list[Generated]) -> list[float]:
+    """corr@r of RADII over all ordered pairs of shapes."""
+    by_name = {one.name: one for one in made}
+    shapes = [by_name[name] for name in project.fit_names]
+    places, component, address = [], [], []
+    for shape in shapes:
+        found = project.shapes.named(shape.name).frame.to_input(project.positions(shape.name))
+        there = np.isfinite(found[:, 0])
+        own, at = np.full(len(found), -1), np.zeros((len(found), 3))
+        own[there], at[there] = address_at(shape, *nearest_on_mesh(shape.mesh, found[there]))
+        places.append(found)
+        component.append(own)
+        address.append(at)
+    errors = []
+    for target, found in zip(shapes, places, strict=True):
+        diagonal = float(np.linalg.norm(np.ptp(target.mesh.vertices, axis=0)))
+        for source, own, at in zip(shapes, component, address, strict=True):
+            if source is target:
+                continue
+            for one in np.unique(own[own >= 0]):
+                rows = np.flatnonzero(own == one)
+                truth, off = position_of(target, int(one), at[rows])
+                rows, truth = rows[off <= TOLERANCE], truth[off <= TOLERANCE]
+                away = np.linalg.norm(found[rows] - truth, axis=1) / diagonal
+                errors.append(np.where(np.isfinite(away), away, np.inf))
+    pooled = np.concatenate(errors)
+    return [float((pooled <= radius).mean()) for radius in RADII]
+
+
+def measured(family: str, seed: int, options: argparse.Namespace) -> dict:
+    """corr before, after and after without the guard; what the guard said."""
+    with tempfile.TemporaryDirectory() as made_in:
+        folder = Path(made_in)
+        project, made = made_project(folder, family, seed, options)
+        result: dict = {"family": family, "seed": seed, "before": dense_corr(project, made)}
+        shutil.copytree(project.path, folder / "unguarded")
+        last(run(project, "refine", alternations=options.alternations, jobs=1))
+        summary = project.stage_record("refine")["summary"]
+        result |= {"refined": dense_corr(project, made), "kept": summary["kept"], "errors": summary["held_out_errors"]}
+        result["unguarded"] = result["refined"]
+        if summary["kept"] < options.alternations:
+            project = Project.open(folder / "unguarded")
+            with patch("shapeforge.generative.joint.is_worse", lambda before, after: False):
+                last(run(project, "refine", alternations=options.alternations, jobs=1))
+            result["unguarded"] = dense_corr(project, made)
+    return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--families", nargs="+", choices=("chairs", "airplanes"), default=["chairs", "airplanes"])
+    parser.add_argument("--seed", type=int, default=0, help="the first seed")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--shapes", type=int, default=24)
+    parser.add_argument("--points", type=int, default=1200)
+    parser.add_argument("--alternations", type=int, default=3)
+    parser.add_argument("--json", action="store_true", help="only the last line")
+    options = parser.parse_args()
+    results = []
+    for family in options.families:
+        for seed in range(options.seed, options.seed + options.seeds):
+            begin = time.process_time()
+            results.append(measured(family, seed, options))
+            print(f"{family}, seed {seed}: {time.process_time() - begin:.0f} CPU-seconds", file=sys.stderr)
+    if not options.json:
+        names = ("before", "refined", "unguarded")
+        head = ["", "seed", "kept", *(f"{name} @{r:.2f}" for name in names for r in RADII)]
+        rows = [[r["family"], r["seed"], r["kept"], *(v for name in names for v in r[name])] for r in results]
+        print(format_table(head, rows))
+        for r in results:
+            print(
+                r["family"],
+                r["seed"],
+                "set aside:",
+                ", ".join(f"{100 * a:.3f}% to {100 * b:.3f}%" for a, b in r["errors"]),
+            )
+    print(json.dumps({"shapes": options.shapes, "points": options.points, "results": results}))
+
+
+if __name__ == "__main__":
+    main()

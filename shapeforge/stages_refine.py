@@ -1,0 +1,200 @@
+"""The stage that alternates fit and learning: joint analysis and synthesis (§5), while shapes set aside agree."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shapeforge.stages import Progress, StageError, Task
+from shapeforge.stages_model import (
+    learn_into,
+    named_split,
+    round_text,
+    stacked_positions,
+    starting_groups,
+    starting_parts,
+    write_shapes,
+)
+from shapeforge.stages_status import RESULTS
+from shapeforge.store import Project
+from shapeforge.store_arrays import read_record, write_record
+from shapeforge.store_results import write_names
+
+ROUNDS_PER_ALTERNATION = 2
+"""Outer rounds of the fit under the machine's prior in each alternation."""
+
+SET_ASIDE = 0.2
+"""Share of the shapes that judge the alternations: no machine learns from them."""
+
+LEAST_SHAPES = 4
+
+
+def refine(task: Task) -> Iterator[Progress]:
+    """Joint analysis and synthesis: the machine is a prior on the fit, the refined fit teaches the machine, 3 times.
+
+    Some shapes are set aside to judge.  An alternation counts only if a machine that learns from the refined shapes
+    comes as near to the surfaces of these as one that learns as long from the shapes as they were before it; otherwise
+    the correspondences stay as they were, and it was the last.
+    """
+    from shapeforge.deformation.exemplars import blend
+    from shapeforge.deformation.family import ROUNDS as FAMILY_ROUNDS
+    from shapeforge.deformation.fit import fit_templates
+    from shapeforge.deformation.hierarchy import corresponding_points
+    from shapeforge.generative.joint import held_out_errors, is_worse
+    from shapeforge.generative.learning import learn_machine
+    from shapeforge.generative.observations import observe
+
+    project, folder = task.project, task.folder
+    names, hierarchy = project.names, project.hierarchy()
+    labels, part_names, seeds = starting_parts(project)
+    write_names(folder / "names.zarr.zip", names)
+    judges = judging_shapes(project, names, rng=np.random.default_rng(task.options["seed"]))
+    checkpoint = folder / "alternation.zarr.zip"
+    number, of, kept = 0, int(task.options["alternations"]), 0
+    errors: list[list[float]] = []
+
+    def learnt(positions: np.ndarray, start: Any, what: str) -> Iterator[Progress]:
+        """Learning without the judges; the state of the last progress is its last one."""
+        seen = observe(positions, hierarchy.top.label, tuple(hierarchy.top.part_names))
+        rng = np.random.default_rng([task.options["seed"], number])
+        for state in learn_machine(seen, rng=rng, executor=task.workers, start=start, held_out=judges):
+            yield task.progress("alternate", number, of, f"{what}, epoch {state.epoch}", state=state)
+
+    def surfaces(state: Any) -> list[np.ndarray]:
+        return [blend(state.candidates[t]).to_family(project.shapes[t].points) for t in judges.tolist()]
+
+    def save() -> None:
+        saved = {"number": number, "kept": kept, "errors": errors, "state": state, "machine": machine}
+        write_record(checkpoint, saved | {"positions": positions})
+
+    if checkpoint.is_file():
+        saved = read_record(checkpoint)[0]
+        number, kept, errors, state, machine, positions = (
+            saved[key] for key in ("number", "kept", "errors", "state", "machine", "positions")
+        )
+        yield task.progress("alternate", number, of, f"goes on after alternation {number}", state=state)
+    else:
+        state, positions = project.fit(), stacked_positions(project, names)
+        for progress in learnt(positions, None, f"{len(judges)} shapes set aside"):
+            yield progress
+        machine = progress.state.machine
+        save()
+    while number < of and kept == number:
+        refined, rounds = state, state.round + ROUNDS_PER_ALTERNATION
+        states = fit_templates(
+            project.shapes, starting_groups(project), labels, part_names, rounds=rounds,
+            family_rounds=min(FAMILY_ROUNDS, rounds - max(state.family_from, 0)),
+            rng=np.random.default_rng(number), executor=task.workers, seeds=seeds, resume=state,
+            prior=machine_prior(machine, positions, hierarchy, state.templates),
+        )  # fmt: skip
+        for refined in states:
+            text = f"alternation {number + 1}, {round_text(refined)}"
+            yield task.progress("alternate", number, of, text, state=refined)
+
+        def corresponding(t: int, state: Any = refined) -> np.ndarray:
+            beliefs = blend(state.candidates[t])
+            return beliefs.to_family(corresponding_points(project.shapes[t], beliefs, hierarchy)[0])
+
+        moved = np.stack(list(task.workers.map(corresponding, range(len(names)))))
+        for before in learnt(positions, machine, f"alternation {number + 1}, as it was"):
+            yield before
+        for after in learnt(moved, machine, f"alternation {number + 1}, refined"):
+            yield after
+        as_was = held_out_errors(before.state.machine, positions[judges], surfaces(state))
+        as_is = held_out_errors(after.state.machine, moved[judges], surfaces(refined))
+        errors.append([float(as_was.mean()), float(as_is.mean())])
+        number += 1
+        machine = before.state.machine
+        if not is_worse(as_was, as_is):
+            kept, state, positions, machine = number, refined, moved, after.state.machine
+        save()
+        yield task.progress("alternate", number, of, verdict(errors, kept), state=state)
+    if kept:
+        for progress in learn_into(task, folder, names, positions, epochs=None, start=machine):
+            yield task.progress("alternate", number - 1, of, progress.message)
+        write_record(folder / "hierarchy.zarr.zip", hierarchy)
+        yield from write_shapes(task, folder, state, hierarchy)
+        write_record(folder / "fit.zarr.zip", state)
+    else:
+        _keep_former(project, folder)
+    text = verdict(errors, kept)
+    task.summary |= {"text": text, "alternations": of, "kept": kept, "held_out_errors": errors, "judges": len(judges)}
+    task.origin = {"of": _result(project, "fit"), "from": _result(project, "learn")}
+    checkpoint.unlink(missing_ok=True)
+    yield task.progress("faces", len(names), len(names), text, state=state)
+
+
+def verdict(errors: Sequence[Sequence[float]], kept: int) -> str:
+    """What the shapes set aside say, in words; ``errors`` are [as it was, refined] of every alternation tried."""
+    said = [f"{100 * a:.3f}% to {100 * b:.3f}%" for a, b in errors]
+    text = f"{kept} alternations, shapes set aside missed by {', '.join(said[:kept])}" if kept else "nothing is refined"
+    if kept < len(errors):
+        text += f"; alternation {len(errors)} made it worse for shapes set aside ({said[-1]} of their size): "
+        text += "the correspondences stay as they were before it"
+    return text
+
+
+def judging_shapes(project: Project, names: Sequence[str], *, rng: np.random.Generator) -> np.ndarray:
+    """Indices of the shapes set aside: those that ``learn --test`` named, else a fifth (at least 2), no exemplars."""
+    if len(names) < LEAST_SHAPES:
+        raise StageError(f"refine sets shapes aside to judge by: wanted at least {LEAST_SHAPES}, got {len(names)}")
+    options = (project.stage_record("learn") or {}).get("options") or {}
+    split = named_split(names, options.get("train"), options.get("test"))
+    if split is not None:
+        return split[1]
+    exemplars = set(starting_groups(project).exemplars.tolist()) if project.groups is not None else set()
+    order = rng.permutation(len(names)).tolist()
+    others = sorted(order, key=lambda t: t in exemplars)
+    return np.sort(np.array(others[: max(2, round(SET_ASIDE * len(names)))]))
+
+
+def _keep_former(project: Project, folder: Path) -> None:
+    """The results of the fit and of the machine that count now, as the results of this stage."""
+    fit, learnt = project.current_folder(project.fit_stage), project.current_folder(project.machine_stage)
+    for name in RESULTS["refine"]:
+        source = learnt if name in RESULTS["learn"] else fit
+        shutil.copy2(source / f"{name}.zarr.zip", folder / f"{name}.zarr.zip")
+    shutil.copytree(fit / "shapes", folder / "shapes", dirs_exist_ok=True)
+
+
+def _result(project: Project, stage: str) -> str | None:
+    return (project.stage_record(stage) or {}).get("result")
+
+
+def machine_prior(
+    machine: Any, positions: np.ndarray, hierarchy: Any, templates: Sequence[Any]
+) -> Callable[[int, int], tuple[np.ndarray, np.ndarray]]:
+    """The machine's opinion on every shape's corresponding points, handed down to the templates of its group."""
+    from shapeforge.generative.joint import shape_prior
+
+    found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+
+    def prior(t: int, g: int) -> tuple[np.ndarray, np.ndarray]:
+        if t not in found:
+            found.clear()  # asked shape by shape: the one at hand is enough
+            found[t] = shape_prior(machine, positions[t])
+        return on_template(*found[t], hierarchy.links[g], templates[g].n_points)
+
+    return prior
+
+
+def on_template(mean: np.ndarray, precision: np.ndarray, link: Any, n_points: int) -> tuple[np.ndarray, np.ndarray]:
+    """A Gaussian on top-level points (K, 3), handed to the template points that each is a convex mix of.
+
+    A template point takes the precision-weighted mean of what is said about the top-level points it takes part in;
+    where nothing is said its precision is 0.
+    """
+    mean, precision = np.asarray(mean, np.float64), np.asarray(precision, np.float64)
+    said = np.isfinite(mean) & np.isfinite(precision) & link.exists[:, None]
+    precision = np.where(said, precision, 0.0)
+    weighted = np.where(said, mean, 0.0) * precision
+    total, moment = np.zeros((n_points, 3)), np.zeros((n_points, 3))
+    for j in range(link.index.shape[1]):
+        share = link.weight[:, j, None]
+        np.add.at(total, link.index[:, j], share * precision)
+        np.add.at(moment, link.index[:, j], share * weighted)
+    return np.divide(moment, total, out=np.zeros_like(moment), where=total > 0), total
