@@ -205,7 +205,10 @@ def _assemble(templates, has, chosen, fits) -> Hierarchy:
         ]
     )
     label = gathered("label")
-    top = template_from_points(points, gathered("normals"), gathered("descriptors"), label, templates[0].part_names)
+    top = template_from_points(
+        points, gathered("normals"), gathered("descriptors"), label, templates[0].part_names,
+        surface=gathered("component"),
+    )  # fmt: skip
     links = []
     for b, template in enumerate(templates):
         index, weight = np.zeros((len(label), 3), np.int32), np.zeros((len(label), 3))
@@ -237,14 +240,21 @@ def deformed_family(
     """
     part = hierarchy.top.label
     link = hierarchy.links[beliefs.template]
-    exists = link.exists & beliefs.active[part]
+    exists = _there(link, beliefs) & beliefs.active[part]
     deformed = np.einsum("kj,kji->ki", link.weight, beliefs.deformed[link.index])
     variance = (link.weight * beliefs.variance.mean(axis=1)[link.index]).sum(axis=1)
     for lent, lender in beliefs.lent:
         from_lender, places, spread = part == lent, *deformed_family(lender, hierarchy)[:2]
         deformed[from_lender], variance[from_lender] = places[from_lender], spread[from_lender]
-        exists = np.where(from_lender, hierarchy.links[lender.template].exists, exists)
+        exists = np.where(from_lender, _there(hierarchy.links[lender.template], lender), exists)
     return deformed, variance, exists
+
+
+def _there(link: Link, beliefs: Beliefs) -> Bool[np.ndarray, " K"]:
+    """Top-level template points (K,) that a template knows, most of the weight on components that the shape has."""
+    if not len(beliefs.spare):
+        return link.exists
+    return link.exists & ((link.weight * beliefs.spare[link.index]).sum(axis=1) < 0.5)
 
 
 def corresponding_points(

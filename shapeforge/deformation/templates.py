@@ -6,16 +6,40 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from shapeforge.collection.points import nearest_points
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation import _kernels_pairs
 from shapeforge.deformation.pieces import face_components
 
 NEIGHBOURS = 20
+
+FEWEST_POINTS, SMALLEST_SHARE = 12, 0.005
+"""Template points of a component that is asked about by itself, at least; and as a share of all of them.  What is
+smaller goes with the component of its part that it is nearest to, a pylon with its engine."""
+
+MOST_COMPONENTS = 60
+"""Components asked about at most, the largest: what has more is the soup of a modeller, not copies of a thing."""
+
+ALIKE = 1.5
+"""Ratio of the extents, along every axis, up to which two components of a part are copies of each other."""
+
+MARGIN = 0.01
+"""What extents (diagonals) are lengthened by before they are compared: a bar may be twice as thick as another."""
+
+
+@dataclass(frozen=True, eq=False)
+class Components:
+    """The components of parts that have several: number of each template point (-1: its part has but one), the part
+    (C,) of each component, and which ones are copies of each other (C, C)."""
+
+    number: Int[np.ndarray, " K"]
+    part: Int[np.ndarray, " C"]
+    alike: Bool[np.ndarray, "C C"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +75,11 @@ class PartTemplates:
         """``pair_graph`` of the neighbours; it moves along with the templates."""
         return pair_graph(self.neighbours)
 
+    @cached_property
+    def components(self) -> Components:
+        """The components that a shape may have or not (see ``components_of``); they stay when the templates move."""
+        return components_of(self)
+
     def has_part(self) -> np.ndarray:
         """(L,) bool: which parts own template points here."""
         return np.bincount(self.label, minlength=self.n_parts) > 0
@@ -58,8 +87,37 @@ class PartTemplates:
     def moved(self, points: Float[np.ndarray, "K 3"]) -> PartTemplates:
         """The same templates at other positions."""
         moved = replace(self, points=points)
-        moved.__dict__["graph"] = self.graph
+        moved.__dict__.update(graph=self.graph, components=self.components)
         return moved
+
+
+def components_of(templates: PartTemplates) -> Components:
+    """The components of a template set that a shape may have or not, each by itself."""
+    number = np.full(templates.n_points, -1, np.int32)
+    pieces, piece, size = np.unique(
+        np.stack([templates.label, templates.component], axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    piece = piece.reshape(-1)
+    large = np.flatnonzero(size >= max(FEWEST_POINTS, SMALLEST_SHARE * templates.n_points))
+    large = np.sort(large[np.argsort(-size[large], kind="stable")[:MOST_COMPONENTS]])
+    parts: list[int] = []
+    extents = []
+    for part in np.unique(pieces[large, 0]).tolist():
+        mine = large[pieces[large, 0] == part]
+        if len(mine) < 2:
+            continue
+        for one in mine.tolist():
+            number[piece == one] = len(parts)
+            parts.append(part)
+            extents.append(np.ptp(templates.points[piece == one], axis=0) + MARGIN)
+        crumbs = np.flatnonzero((templates.label == part) & (number < 0))
+        known = np.flatnonzero((templates.label == part) & (number >= 0))
+        number[crumbs] = number[known[nearest_points(templates.points[known], templates.points[crumbs])[0][:, 0]]]
+    extent, part_of = np.array(extents).reshape(-1, 3), np.array(parts, np.int32)
+    ratio = extent[:, None] / extent[None] if len(extent) else np.ones((0, 0, 3))
+    close = np.maximum(ratio, 1 / ratio).max(axis=2) < ALIKE
+    alike = close & (part_of[:, None] == part_of) & ~np.eye(len(parts), dtype=bool)
+    return Components(number, part_of, alike)
 
 
 def template_from_points(
