@@ -14,7 +14,8 @@ castors are *ties*, counted by themselves in the same way.
 Of the corresponding points judged is whether they exist: a *spare* component of the templates (the exemplar's outer
 engines on a shape with two) is kept, or one that the shape has is gone, when most of its points exist, or do not; per
 shape and component of parts that the shape has and the fit gives to it.  Ties, and names that several components of an
-exemplar share (slats of a back), are left out.
+exemplar share (slats of a back), are left out, and so are parts of another build, which have none of the components:
+two engines of an exemplar say where the one of a propeller airplane is.
 
 Shares are of the cases; CPU-seconds a shape are those of the fit on one thread.  The last line is one JSON object.
 """
@@ -230,10 +231,10 @@ def judge_points(
     made: Generated, exists: np.ndarray, part: np.ndarray, components: list[tuple[str, np.ndarray]]
 ) -> Count:
     """Spare components kept, and components gone, by which top-level template points (K,) exist on a shape."""
-    count, true_parts = Count(), np.unique(made.faces)
+    count = Count()
+    shared = {int(part[mine][0]) for name, mine in components if name in made.components}
     for name, mine in components:
-        whole = part == part[mine][0]
-        if part[mine][0] not in true_parts or not exists[whole].any():
+        if int(part[mine][0]) not in shared or not exists[part == part[mine][0]].any():
             continue
         there = int(exists[mine].mean() > 0.5)
         if name in made.components:
