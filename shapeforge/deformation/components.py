@@ -47,9 +47,10 @@ def switch_off_spare(
 ) -> tuple[Beliefs, Candidates, Correspondence]:
     """Mark the components that the shape most likely does not have as spare, one by one, the least likely first.
 
-    A component goes when hardly a point of the surface is its own, or when its log odds are low and a copy of it is
-    there: one that merely looks different is not missing.  Of every part the likeliest component stays; whether the
-    part exists is another question (see ``existence``).  After each one that goes the beliefs settle anew.
+    A component goes when its log odds are low (hardly a point of the surface its own, say) and a copy of it is there
+    for sure: one that merely looks different, as its copies then do, is not missing.  Left and right go together.  So
+    something of every part stays; whether the part exists is another question (see ``existence``).  After each one that
+    goes the beliefs settle anew.
     """
     known = templates.components
     if np.sqrt(unary.mean()) > SHARPNESS or not len(known.part):
@@ -113,10 +114,8 @@ def count_parts(shape: Shape, top: PartTemplates, exists: Bool[np.ndarray, " K"]
 
 def least_likely(known: Components, odds: Float[np.ndarray, " C"]) -> int | None:
     """The component that is likeliest not to be there, if any is to go by its odds (C,); NaN: not asked."""
-    there = odds > 0.0  # not that of NaN
-    copied = (known.alike & there).any(axis=1)
-    beside = np.array([(there & (known.part == part)).any() for part in known.part], bool)
-    spare = (copied & (odds < DOUBT)) | (beside & np.isneginf(odds))
+    copied = (known.alike & (odds > 0.0)).any(axis=1)  # NaN is not
+    spare = copied & (odds < DOUBT) & ~(odds[known.twin] >= DOUBT)
     return int(np.where(spare, odds, np.inf).argmin()) if spare.any() else None
 
 

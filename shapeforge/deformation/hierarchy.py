@@ -206,10 +206,7 @@ def _assemble(templates, has, chosen, fits) -> Hierarchy:
         ]
     )
     label = gathered("label")
-    top = template_from_points(
-        points, gathered("normals"), gathered("descriptors"), label, templates[0].part_names,
-        surface=gathered("component"),
-    )  # fmt: skip
+    top = template_from_points(points, gathered("normals"), gathered("descriptors"), label, templates[0].part_names)
     links = []
     for b, template in enumerate(templates):
         index, weight = np.zeros((len(label), 3), np.int32), np.zeros((len(label), 3))

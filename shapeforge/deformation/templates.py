@@ -26,7 +26,11 @@ MOST_COMPONENTS = 60
 """Components asked about at most, the largest: what has more is the soup of a modeller, not copies of a thing."""
 
 ALIKE = 1.5
-"""Ratio of the extents, along every axis, up to which two components of a part are copies of each other."""
+"""Ratio of the extents, along every axis, and of the areas up to which two components of a part are copies of each
+other: a frame of four legs is none of its rungs, though both be as wide."""
+
+MIRRORED = 0.06
+"""How far (diagonals) the middle of a component is at most from the mirror image of its twin's."""
 
 MARGIN = 0.01
 """What extents (diagonals) are lengthened by before they are compared: a bar may be twice as thick as another."""
@@ -35,11 +39,13 @@ MARGIN = 0.01
 @dataclass(frozen=True, eq=False)
 class Components:
     """The components of parts that have several: number of each template point (-1: its part has but one), the part
-    (C,) of each component, and which ones are copies of each other (C, C)."""
+    (C,) of each component, which ones are copies of each other (C, C), and which one is its mirror image across x (C,):
+    itself, when there is none."""
 
     number: Int[np.ndarray, " K"]
     part: Int[np.ndarray, " C"]
     alike: Bool[np.ndarray, "C C"]
+    twin: Int[np.ndarray, " C"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +107,7 @@ def components_of(templates: PartTemplates) -> Components:
     large = np.flatnonzero(size >= max(FEWEST_POINTS, SMALLEST_SHARE * templates.n_points))
     large = np.sort(large[np.argsort(-size[large], kind="stable")[:MOST_COMPONENTS]])
     parts: list[int] = []
-    extents = []
+    extents, areas, middles = [], [], []
     for part in np.unique(pieces[large, 0]).tolist():
         mine = large[pieces[large, 0] == part]
         if len(mine) < 2:
@@ -110,14 +116,25 @@ def components_of(templates: PartTemplates) -> Components:
             number[piece == one] = len(parts)
             parts.append(part)
             extents.append(np.ptp(templates.points[piece == one], axis=0) + MARGIN)
+            areas.append(size[one])
+            middles.append(templates.points[piece == one].mean(axis=0))
         crumbs = np.flatnonzero((templates.label == part) & (number < 0))
         known = np.flatnonzero((templates.label == part) & (number >= 0))
         number[crumbs] = number[known[nearest_points(templates.points[known], templates.points[crumbs])[0][:, 0]]]
-    extent, part_of = np.array(extents).reshape(-1, 3), np.array(parts, np.int32)
-    ratio = extent[:, None] / extent[None] if len(extent) else np.ones((0, 0, 3))
-    close = np.maximum(ratio, 1 / ratio).max(axis=2) < ALIKE
+    measures = np.column_stack([np.array(extents).reshape(-1, 3), np.array(areas, float)])
+    part_of, ratio = np.array(parts, np.int32), measures[:, None] / measures[None]
+    close = np.maximum(ratio, 1 / ratio).max(axis=2, initial=1.0) < ALIKE
     alike = close & (part_of[:, None] == part_of) & ~np.eye(len(parts), dtype=bool)
-    return Components(number, part_of, alike)
+    return Components(number, part_of, alike, _twins(np.array(middles).reshape(-1, 3), alike))
+
+
+def _twins(middle: np.ndarray, alike: np.ndarray) -> Int[np.ndarray, " C"]:
+    """Mirror image across x of each component (C,), by their middles (C, 3): a copy that is there, else itself."""
+    off = np.linalg.norm(middle[:, None] * [-1, 1, 1] - middle[None], axis=2)
+    itself = np.eye(len(middle), dtype=bool)
+    off = np.where(alike | itself, off, np.inf)
+    nearest = off.argmin(axis=1) if len(middle) else np.zeros(0, int)
+    return np.where(off.min(axis=1, initial=np.inf) < MIRRORED, nearest, np.arange(len(middle))).astype(np.int32)
 
 
 def template_from_points(

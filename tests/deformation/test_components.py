@@ -215,6 +215,11 @@ def test_components_of_parts_that_have_several(table):
     bar = int(known.number[(table.label == 1) & (np.abs(table.points[:, 2]) < 0.1)][0])
     assert not known.alike[bar].any() and known.alike.sum() == 6 and not known.alike.diagonal().any()
     np.testing.assert_array_equal(known.alike, known.alike.T)
+    middles = np.array([table.points[known.number == one].mean(axis=0) for one in range(4)])
+    for one, (x, _, z) in enumerate(middles):  # the first two rods face each other, the third one has no mirror image
+        other = middles[known.twin[one]]
+        pair = np.isclose(z, -0.4, atol=0.02)
+        assert (known.twin[one] != one) == pair and (not pair or other[0] * x < 0)
     # a template that moves keeps them, though its extents change
     moved = table.moved(table.points * [1, 3, 1])
     assert moved.components is known
@@ -224,19 +229,32 @@ def test_what_is_spare():
     """Components 0 and 1 are copies of each other; 2, of the same part, is not; 3 is another part's."""
     alike = np.zeros((4, 4), bool)
     alike[0, 1] = alike[1, 0] = True
-    known = Components(np.zeros(0, np.int32), np.array([0, 0, 0, 1], np.int32), alike)
+    known = Components(np.zeros(0, np.int32), np.array([0, 0, 0, 1], np.int32), alike, np.arange(4, dtype=np.int32))
     low, gone = -5.0, -np.inf
     for odds, wanted in (
         ([low, 3.0, 2.0, 1.0], 0),
         ([-1.9, 3.0, 2.0, 1.0], None),  # in doubt it stays
         ([low, -0.1, 2.0, 1.0], None),  # its copy is not sure either: the part looks different
-        ([3.0, 3.0, low, 1.0], None),  # unlike the others, it may be there in another form
-        ([3.0, 3.0, gone, 1.0], 2),  # but not without a point
+        ([3.0, 3.0, gone, 1.0], None),  # unlike the others, it may be there in another form
+        ([gone, 3.0, 2.0, 1.0], 0),
         ([low, -6.0, 2.0, 1.0], None),
         ([gone, gone, gone, 3.0], None),  # one of the part must be there
-        ([low, 3.0, gone, 1.0], 2),
+        ([low, 3.0, gone, 1.0], 0),
         ([np.nan, 3.0, np.nan, low], None),
         ([low, 3.0, np.nan, gone], 0),
+    ):
+        assert least_likely(known, np.array(odds)) == wanted, odds
+
+
+def test_left_and_right_go_together():
+    """Four copies, 0 and 1 each other's mirror image, 2 and 3 too."""
+    alike, twin = ~np.eye(4, dtype=bool), np.array([1, 0, 3, 2], np.int32)
+    known = Components(np.zeros(0, np.int32), np.zeros(4, np.int32), alike, twin)
+    for odds, wanted in (
+        ([-4.0, -3.0, 2.0, 2.0], 0),
+        ([np.nan, -3.0, 2.0, 2.0], 1),  # the other one has gone before
+        ([-4.0, 1.0, 2.0, 2.0], None),
+        ([-4.0, 1.0, -3.0, -2.5], 2),
     ):
         assert least_likely(known, np.array(odds)) == wanted, odds
 
