@@ -3,8 +3,7 @@
 φ1 explains surface by what is near, so an engine where the exemplar has none is taken for the wing it hangs under.
 But it looks like an engine.  Every connected piece of the surface that its own part explains badly is compared with
 the template's components, each moved onto it, stretched to its box and mirrored; where a component of another part
-fits far better than the piece is explained now, the piece is taken for a copy of it.  And so it is when it is one of a
-set of like pieces of the shape, most of which have another label.
+fits far better than the piece is explained now, the piece is taken for a copy of it.
 """
 
 from __future__ import annotations
@@ -50,10 +49,6 @@ in heights of the shape: a slat of the back looks like a leg, but legs stand on 
 ALIKE = 0.01
 """Extents and height (diagonals) within which two components of a part are looked at as one."""
 
-FEWEST_OF_SET, LARGER = 2, 4.0
-"""Like pieces of a shape with one label, from which on they tell what another one of them is; and how much larger the
-largest piece with the label may be: legs that are taken for the seat, which is a board, tell nothing."""
-
 COMPARED = 64
 """Points of a piece and of a component that are compared."""
 
@@ -91,7 +86,6 @@ def find_copies(
     small = (size >= FEWEST) & (size <= LARGEST * len(component))
     asked = np.flatnonzero(small & ~painted & ((cost > EXPLAINED) | (wide > FAR * gap.mean())))
     found: list[Copy] = []
-    alone: list[int] = []
     known: list[_Component] | None = None
     for one in asked.tolist():
         rows = np.flatnonzero(component == one)
@@ -105,51 +99,7 @@ def find_copies(
         likely = costs[part] < min(most, cost[one] - BETTER, costs[present] - RIVAL)
         if part != present and likely:
             found.append(Copy(part, rows))
-        else:
-            alone.append(one)
-    pieces = [np.flatnonzero(component == one) for one in range(len(size))]
-    return (*found, *_of_sets(alone, np.flatnonzero(small & ~painted).tolist(), pieces, shape, beliefs, label))
-
-
-def _of_sets(
-    asked: list[int], small: list[int], pieces: list[np.ndarray], shape: Shape, beliefs: Beliefs,
-    label: Int[np.ndarray, " P"],
-) -> list[Copy]:  # fmt: skip
-    """Those of the ``asked`` pieces that are one of a set of like ones at the same height, most of which have another
-    label: the middle ones of six legs, where no exemplar has any, are legs as the others are.
-
-    ``pieces`` are rows of points, ``asked`` and ``small`` numbers of pieces; a set consists of small ones.
-    """
-    if not asked:
-        return []
-    points, normals = beliefs.to_family(shape.points), beliefs.to_family(shape.normals)
-    looks = {one: _look(pieces[one], points, normals, label) for one in small}
-    largest = np.zeros(label.max() + 1)
-    for rows in pieces:
-        part = int(np.bincount(label[rows]).argmax())
-        largest[part] = max(largest[part], len(rows))
-    found = []
-    for number in asked:
-        one = looks[number]
-        alike = [
-            (other.part, len(pieces[place]))
-            for place, other in looks.items()
-            if np.abs(one.extent - other.extent).max() < ALIKE and abs(one.level[0] - other.level[0]) < ALIKE
-            and _apart(one.points, one.normals, other.points * MIRRORED, other.normals * MIRRORED) < LIKENESS
-        ]  # fmt: skip
-        for part in {part for part, _ in alike} - {one.part}:
-            of_set = [size for other, size in alike if other == part]
-            most = len(of_set) >= FEWEST_OF_SET and len(of_set) > len(alike) / 2
-            if most and largest[part] < LARGER * np.mean(of_set):
-                found.append(Copy(part, pieces[number]))
-    return found
-
-
-def _look(rows: np.ndarray, points: np.ndarray, normals: np.ndarray, label: np.ndarray) -> _Component:
-    """A piece of a shape (rows of its points) as a component of the part that most of it is labelled as."""
-    here, extent, middle = _centred(points[rows])
-    part = int(np.bincount(label[rows]).argmax())
-    return _Component(part, _level(middle, points), extent, thinned(here, COMPARED), thinned(normals[rows], COMPARED))
+    return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)

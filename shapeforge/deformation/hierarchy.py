@@ -206,7 +206,11 @@ def _assemble(templates, has, chosen, fits) -> Hierarchy:
         ]
     )
     label = gathered("label")
-    top = template_from_points(points, gathered("normals"), gathered("descriptors"), label, templates[0].part_names)
+    # a single exemplar's components are the family's; of several, put together, what touches is taken for one
+    surface = gathered("component") if len(templates) == 1 else None
+    top = template_from_points(
+        points, gathered("normals"), gathered("descriptors"), label, templates[0].part_names, surface=surface
+    )
     links = []
     for b, template in enumerate(templates):
         index, weight = np.zeros((len(label), 3), np.int32), np.zeros((len(label), 3))

@@ -13,7 +13,6 @@ from shapeforge.collection.groups import Groups
 from shapeforge.collection.iterate import last
 from shapeforge.collection.prepare import prepare_shape
 from shapeforge.deformation.apply import fit_candidates
-from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.copies import find_copies
 from shapeforge.deformation.exemplars import blend
 from shapeforge.deformation.faces import Explanations, explanations, label_faces
@@ -147,36 +146,6 @@ def test_a_fifth_leg_is_a_leg():
         for name in one.components:
             if name.startswith("leg"):
                 assert right_share(one, faces, name) > 0.8, (t, name)
-
-
-def test_one_of_a_set_is_what_most_of_the_set_are():
-    """No leg of the template is as short as these, but four of the six are known for legs."""
-    made = generate_one("chairs", 3, seed=11, broken=0.0, classes=("side",))
-    six = made
-    for end in ("front", "rear"):
-        tip = made.landmarks[f"leg_tip_{end}_left"]
-        six = with_copy(six, [f"leg {end} left"], [-tip[0], 0, 0])
-    shape, leg, seat = prepared(six, 0), made.part_names.index("leg"), made.part_names.index("seat")
-    own = template_from_exemplar(shape, six.faces, six.part_names)
-    templates, parts = own.moved(own.points * [1, 4, 1]), own.n_parts
-    beliefs = Beliefs(
-        0, templates.points, np.full_like(own.points, 1e-4), np.tile(np.eye(3), (parts, 1, 1)), np.zeros((parts, 3)),
-        np.full((N_POINTS, parts), 1 / parts), np.ones(parts, bool), np.full(N_POINTS, -1, np.int32),
-        np.full(parts, np.nan),
-    )  # fmt: skip
-    names = component_of_face(six)[shape.face_of_point]
-    middle = np.array([name.endswith("again") for name in names])
-    label = six.faces[shape.face_of_point].astype(np.int64)
-    assert find_copies(shape, [templates], beliefs, label) == ()
-    label[middle] = seat
-    found = find_copies(shape, [templates], beliefs, label)
-    assert {one.part for one in found} == {leg} and len(found) == 2
-    assert np.sort(np.concatenate([one.rows for one in found])).tolist() == np.flatnonzero(middle).tolist()
-    # most of a set say nothing when they are bits of a part that is one board; nor does half of a set
-    label[np.isin(names, ["leg front left", "leg front right"])] = seat
-    assert find_copies(shape, [templates], beliefs, label) == ()
-    label[names == "leg front left"] = leg
-    assert find_copies(shape, [templates], beliefs, label) == ()
 
 
 def test_legs_that_rails_tie_together_are_components_each():
