@@ -136,7 +136,13 @@ ABLATIONS: dict[str, tuple[str, dict[str, object]]] = {
     "no-phi3": ("without φ3, looks", {"updates.DESCRIPTOR_WEIGHT": 0.0, "updates.NORMAL_WEIGHT": 0.0}),
     "no-phi4": ("without φ4, labels agree", {"updates.LOG_EPSILON": 0.0, "energy.LOG_EPSILON": 0.0}),
     "no-phi5": ("without φ5, like neighbours", {"shape_fit.attraction": _no_attraction}),
-    "all-parts": ("no part is missing", {"shape_fit.switch_off_missing": lambda *given: given[4]}),
+    "all-parts": (
+        "no part is missing",
+        {
+            "shape_fit.switch_off_missing": lambda *given: given[4],
+            "shape_fit.switch_off_spare": lambda *given: (given[4], given[2], given[3]),
+        },
+    ),
     "one-map": ("one map for all parts", {"shape_fit.update_maps": _one_map}),
     "no-annealing": ("no annealing", {"fit.ANNEALING": 1.0, "family.sigma_of_round": lambda *_: HUGE}),
     "boxes": (

@@ -9,8 +9,15 @@ or without the part.  Judged are the labels of faces as the project exports them
 A *ghost* is a part that a shape has not and that is given more than 1% of its area; a *loss* a part with less than 10%
 of its true area; both count per shape and part, of the parts that an exemplar shows.  A *mislabelled copy* is one leg,
 engine, arm, wing, … of which most of the area bears another label; per shape and copy.  Rails between legs, pylons and
-castors are *ties*, counted by themselves in the same way.  Shares are of the cases; CPU-seconds a shape are those of
-the fit on one thread.  The last line is one JSON object.
+castors are *ties*, counted by themselves in the same way.
+
+Of the corresponding points judged is whether they exist: a *spare* component of the templates (the exemplar's outer
+engines on a shape with two) is kept, or one that the shape has is gone, when most of its points exist, or do not; per
+shape and component of parts that the shape has and the fit gives to it.  Ties, and names that several components of an
+exemplar share (slats of a back), are left out, and so are parts of another build, which have none of the components:
+two engines of an exemplar say where the one of a propeller airplane is.
+
+Shares are of the cases; CPU-seconds a shape are those of the fit on one thread.  The last line is one JSON object.
 """
 
 from __future__ import annotations
@@ -33,7 +40,9 @@ from shapeforge.collection.iterate import last
 from shapeforge.collection.prepare import prepare_shape
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation.faces import explanations, label_faces
-from shapeforge.deformation.fit import fit_templates
+from shapeforge.deformation.fit import FitState, fit_templates
+from shapeforge.deformation.hierarchy import deformed_family
+from shapeforge.deformation.templates import template_from_exemplar
 from shapeforge.validation.statistics import format_table
 
 GHOST, LOSS = 0.01, 0.1
@@ -108,6 +117,8 @@ EXEMPLARS = {
         lambda shape: _under_wing(shape) and "outer engine left" not in shape.components,
     ),
     "four engines": KINDS["four engines"],
+    "five legs": KINDS["five legs"],
+    "six-legged bench": KINDS["six-legged bench"],
     "fighter": Kind("airplanes", ("fighter",), _has("tailplane left")),
     "propeller": Kind("airplanes", ("propeller",), _has("cowling", "fin")),
 }  # fmt: skip
@@ -117,6 +128,8 @@ SETS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "swivel chairs": (("swivel",), ("swivel",)),
     "benches": (("bench",), ("bench",)),
     "more legs": (("armchair",), ("five legs", "bench", "six-legged bench")),
+    "fewer legs": (("five legs",), ("five legs", "four legs")),
+    "fewer legs of benches": (("six-legged bench",), ("six-legged bench", "bench")),
     "two-engined": (("two engines",), ("two engines",)),
     "more engines": (("two engines",), ("four engines",)),
     "fewer engines": (("four engines",), ("four engines", "two engines")),
@@ -141,6 +154,10 @@ class Count:
     mislabelled: int = 0
     ties: int = 0
     mislabelled_ties: int = 0
+    spare: int = 0
+    spare_kept: int = 0
+    components: int = 0
+    components_gone: int = 0
 
     def __add__(self, other: Count) -> Count:
         return Count(*(getattr(self, one.name) + getattr(other, one.name) for one in fields(self)))
@@ -180,6 +197,53 @@ def judge(made: Generated, faces: np.ndarray, shown: np.ndarray) -> Count:
     return count
 
 
+def component_names(state: FitState, made: list[Generated], shapes: list[Shape]) -> list[tuple[str, np.ndarray]]:
+    """True names of the components of the top-level templates, and their points (K,): as their exemplars have them."""
+    hierarchy = state.hierarchy()
+    names = np.empty(hierarchy.top.n_points, object)
+    for template, link in zip(state.templates, hierarchy.links, strict=True):
+        own = np.flatnonzero(link.exists & (link.weight[:, 0] == 1.0))
+        source = [shape.name for shape in shapes].index(template.source) if template.source else -1
+        if source >= 0:
+            first = template_from_exemplar(shapes[source], made[source].faces, made[source].part_names)
+            known = dict(
+                zip(map(tuple, shapes[source].points.tolist()), _names(made[source], shapes[source]), strict=True)
+            )
+            names[own] = [known[tuple(point)] for point in first.points[link.index[own, 0]].tolist()]
+    number = hierarchy.top.components.number
+    found = []
+    for one in range(len(hierarchy.top.components.part)):
+        mine = number == one
+        there, times = np.unique(names[mine].astype(str), return_counts=True)
+        found.append((str(there[times.argmax()]), mine))
+    told = [name for name, _ in found]
+    return [(name, mine) for name, mine in found if told.count(name) == 1 and not name.startswith(TIES)]
+
+
+def _names(made: Generated, shape: Shape) -> list[str]:
+    """Names of the components that the points of a shape are on."""
+    component = np.zeros(made.mesh.n_faces, int)
+    component[made.mesh.face_of_triangle] = made.address[:, 0, 0].astype(int)
+    return [made.component_names[one] for one in component[shape.face_of_point].tolist()]
+
+
+def judge_points(
+    made: Generated, exists: np.ndarray, part: np.ndarray, components: list[tuple[str, np.ndarray]]
+) -> Count:
+    """Spare components kept, and components gone, by which top-level template points (K,) exist on a shape."""
+    count = Count()
+    shared = {int(part[mine][0]) for name, mine in components if name in made.components}
+    for name, mine in components:
+        if int(part[mine][0]) not in shared or not exists[part == part[mine][0]].any():
+            continue
+        there = int(exists[mine].mean() > 0.5)
+        if name in made.components:
+            count += Count(components=1, components_gone=1 - there)
+        else:
+            count += Count(spare=1, spare_kept=there)
+    return count
+
+
 def run(name: str, count: int, seed: int, n_points: int) -> tuple[dict[str, Count], float]:
     """Errors by kind of shape in one set, and CPU-seconds a shape of its fit."""
     exemplars, kinds = SETS[name]
@@ -199,12 +263,14 @@ def run(name: str, count: int, seed: int, n_points: int) -> tuple[dict[str, Coun
     seconds = (time.process_time() - begin) / len(shapes)
     shown = np.any([template.has_part() for template in state.templates], axis=0)
     found: dict[str, Count] = {kind: Count() for kind in kinds}
-    beliefs = state.beliefs
+    beliefs, hierarchy = state.beliefs, state.hierarchy()
+    components = component_names(state, made, shapes)
     for t in range(len(exemplars), len(shapes)):
         faces = label_faces(shapes[t], beliefs[t], explained=explanations(state, t))[0]
-        here = judge(made[t], faces, shown)
+        exists = deformed_family(beliefs[t], hierarchy)[2]
+        here = judge(made[t], faces, shown) + judge_points(made[t], exists, hierarchy.top.label, components)
         found[kind_of[t]] += here
-        if here.ghosts + here.losses + here.mislabelled:
+        if here.ghosts + here.losses + here.mislabelled + here.spare_kept + here.components_gone:
             print(f"{name}, seed {seed}, {made[t].name} ({kind_of[t]}): {here}", file=sys.stderr)
     return found, seconds
 
@@ -223,7 +289,8 @@ def nearest_groups(shapes: list[Shape], exemplars: int) -> Groups:
 def row(count: Count) -> list[str]:
     """Shares of errors, with the numbers of cases."""
     pairs = ((count.ghosts, count.parts), (count.losses, count.parts), (count.mislabelled, count.copies),
-             (count.mislabelled_ties, count.ties))  # fmt: skip
+             (count.mislabelled_ties, count.ties), (count.spare_kept, count.spare),
+             (count.components_gone, count.components))  # fmt: skip
     return [f"{wrong} of {of} ({100 * wrong / max(of, 1):.1f}%)" for wrong, of in pairs]
 
 
@@ -252,7 +319,18 @@ def main() -> None:
             for name, found in results.items()
             for kind, count in found.items()
         ]
-        titles = ["set", "exemplars", "shapes", "ghosts", "losses", "mislabelled copies", "ties", "CPU s"]
+        titles = [
+            "set",
+            "exemplars",
+            "shapes",
+            "ghosts",
+            "losses",
+            "mislabelled copies",
+            "ties",
+            "spare kept",
+            "gone",
+            "CPU s",
+        ]
         print(format_table(titles, [*rows, ["all", "", "", *row(whole), ""]]))
     told = {name: {kind: vars(count) for kind, count in found.items()} for name, found in results.items()}
     about = {"points": options.points, "shapes": options.shapes, "seeds": options.seeds}

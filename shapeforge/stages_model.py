@@ -156,7 +156,8 @@ def starting_groups(project: Project) -> Any:
 
 
 def write_shapes(task: Task, folder: Path, state: Any, hierarchy: Any) -> Iterator[Progress]:
-    """Faces and corresponding points of every shape, one file each; those of an interrupted run are kept."""
+    """Faces, corresponding points and part counts of every shape, one file each; those of an interrupted run stay."""
+    from shapeforge.deformation.components import count_parts
     from shapeforge.deformation.exemplars import blend
     from shapeforge.deformation.faces import explanations, label_faces
     from shapeforge.deformation.hierarchy import corresponding_points
@@ -171,7 +172,8 @@ def write_shapes(task: Task, folder: Path, state: Any, hierarchy: Any) -> Iterat
         labels, probabilities = label_faces(shape, beliefs, project.labels(names[t]), explained=explanations(state, t))
         positions, existence = corresponding_points(shape, beliefs, hierarchy)
         found = {"beliefs": beliefs, "labels": np.asarray(labels, np.int32), "positions": positions}
-        write_record(path, {**found, "probabilities": np.asarray(probabilities, np.float32), "existence": existence})
+        found |= {"existence": existence, "counts": count_parts(shape, hierarchy.top, existence, beliefs)}
+        write_record(path, found | {"probabilities": np.asarray(probabilities, np.float32)})
 
     for t, _ in enumerate(task.workers.map(work, range(len(names)))):
         yield task.progress("faces", t + 1, len(names), names[t])

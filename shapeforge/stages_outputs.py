@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +28,16 @@ def export(
     """Write labels, corresponding points, groups and (once learned) descriptors of every shape into the folder ``out``.
 
     Files: ``labels/<name>.seg``, ``labels/labels.json``, ``points/<name>.npz`` (positions (K, 3) in the input mesh's
-    coordinates, NaN where absent; part (K,) label ids; existence (K,)), ``groups.csv``, ``descriptors.csv`` and, when
-    asked, ``probabilities/<name>.npz``.  A stale fit is redone first.
+    coordinates, NaN where absent; part (K,) label ids; existence (K,); component (K,), counted from 0 within the part,
+    -1 of parts that are one; copies (n, 3), samples of components that no template has, and part_of_copies (n,)),
+    ``parts.csv`` (how many components of every part each shape has, and copies beside them), ``groups.csv``,
+    ``descriptors.csv`` and, when asked, ``probabilities/<name>.npz``.  A stale fit is redone first.
     """
     yield from refresh(project, ("fit", "learn"), jobs=jobs, wanted_by="export", optional=("learn",))
     out = Path(out)
     names, part_names = project.fit_names, fitted_part_names(project)
-    ids = np.array(part_names.ids, np.int64)[project.part_of_point]
+    top = project.hierarchy().top
+    of_points = part_and_component(top, part_names)
     with clear_disk_errors(out):
         for folder in ("labels", "points"):
             (out / folder).mkdir(parents=True, exist_ok=True)
@@ -42,12 +45,14 @@ def export(
     for step, name in enumerate(names):
         shape = project.shapes.named(name)
         write_result(
-            out, shape, project.face_labels(name), project.positions(name), project.existence(name), ids, part_names
-        )
+            out, shape, project.face_labels(name), project.positions(name), project.existence(name),
+            project.beliefs(name).copies, of_points, part_names,
+        )  # fmt: skip
         if probabilities:
             write_npz(out / "probabilities" / f"{name}.npz", face_and_point_probabilities(project, shape, part_names))
         yield Progress("export", "write", step + 1, len(names), name)
     write_groups(out / "groups.csv", project)
+    write_part_counts(out / "parts.csv", top, {name: project.part_counts(name) for name in names})
     found = project.descriptors()
     if found is not None:
         write_descriptors(out / "descriptors.csv", *found)
@@ -55,14 +60,38 @@ def export(
 
 
 def write_result(
-    out: Path, shape: Shape, labels: np.ndarray, positions: np.ndarray, existence: np.ndarray, ids: np.ndarray,
-    part_names: PartNames,
+    out: Path, shape: Shape, labels: np.ndarray, positions: np.ndarray, existence: np.ndarray, copies: np.ndarray,
+    of_points: Mapping[str, np.ndarray], part_names: PartNames,
 ) -> None:  # fmt: skip
-    """``labels/<name>.seg`` and ``points/<name>.npz`` of one shape."""
+    """``labels/<name>.seg`` and ``points/<name>.npz`` of one shape; ``of_points`` is the same for every shape."""
+    on_copy = np.flatnonzero(copies >= 0)
     with clear_disk_errors(out / "labels" / f"{shape.name}.seg"):
         write_seg(out / "labels" / f"{shape.name}.seg", labels, part_names)
-    arrays = {"positions": shape.frame.to_input(positions), "part": ids, "existence": existence}
+    arrays = {"positions": shape.frame.to_input(positions), **of_points, "existence": existence}
+    arrays["copies"] = shape.frame.to_input(np.asarray(shape.points[on_copy], np.float64))
+    arrays["part_of_copies"] = np.array(part_names.ids, np.int64)[copies[on_copy]]
     write_npz(out / "points" / f"{shape.name}.npz", arrays)
+
+
+def part_and_component(top: Any, part_names: PartNames) -> dict[str, np.ndarray]:
+    """What is said of the top-level template points on every shape: label id of the part, number of the component."""
+    number = top.components.number.astype(np.int64)
+    first = np.array([number[top.label == part].min(initial=len(number)) for part in range(top.n_parts)])
+    return {
+        "part": np.array(part_names.ids, np.int64)[top.label],
+        "component": np.where(number >= 0, number - first[top.label], -1),
+    }
+
+
+def write_part_counts(path: Path, top: Any, counts: Mapping[str, Any]) -> None:
+    """``parts.csv``: shape, part, components of it that the shape has, of how many of the templates, and copies."""
+    known = [len(np.unique(top.components.number[top.label == part])) for part in range(top.n_parts)]
+    rows = [
+        (name, part_name, int(one.components[part]), known[part], int(one.copies[part]))
+        for name, one in counts.items()
+        for part, part_name in enumerate(top.part_names)
+    ]
+    write_csv(path, ("shape", "part", "components", "of", "copies"), rows)
 
 
 def write_npz(path: Path, arrays: dict[str, np.ndarray]) -> None:
@@ -130,6 +159,7 @@ def apply(
     all the others, :class:`StageError` says how many.
     """
     from shapeforge.collection.meshes import MeshError, find_meshes
+    from shapeforge.deformation.components import count_parts
 
     yield from refresh(project, ("fit",), jobs=jobs, wanted_by="apply")
     try:
@@ -137,7 +167,7 @@ def apply(
     except MeshError as error:
         raise StageError(str(error)) from error
     out, part_names, hierarchy, state = Path(out), fitted_part_names(project), project.hierarchy(), project.fit()
-    ids = np.array(part_names.ids, np.int64)[hierarchy.top.label]
+    of_points, counts = part_and_component(hierarchy.top, part_names), {}
     options = (project.stage_record("import") or {})["options"]
     with clear_disk_errors(out):
         for folder in ("labels", "points"):
@@ -164,12 +194,14 @@ def apply(
                 yield Progress("apply", "fit", step + 1, len(found), str(problem), problem=problem)
                 continue
             shape, labels, positions, existence, beliefs = result
-            write_result(out, shape, labels, positions, existence, ids, part_names)
+            write_result(out, shape, labels, positions, existence, beliefs.copies, of_points, part_names)
+            counts[name] = count_parts(shape, hierarchy.top, existence, beliefs)
             done.append((name, beliefs.to_family(positions), beliefs.template))
             yield Progress("apply", "fit", step + 1, len(found), name)
     finally:
         workers.close()
     source_group = _group_of_template(project, state)
+    write_part_counts(out / "parts.csv", hierarchy.top, counts)
     write_csv(out / "groups.csv", ("shape", "group", "exemplar"), [(n, source_group[g], "false") for n, _, g in done])
     machine = project.machine()
     if machine is not None and done:

@@ -36,6 +36,7 @@ RECORD_CLASSES: dict[str, str] = {
     "Proposal": "shapeforge.deformation.boxes",
     "Link": "shapeforge.deformation.hierarchy",
     "Hierarchy": "shapeforge.deformation.hierarchy",
+    "PartCounts": "shapeforge.deformation.components",
     "Observations": "shapeforge.generative.observations",
     "BetaShapeMachine": "shapeforge.generative.machine",
     "StructureMachine": "shapeforge.generative.structure",

@@ -136,6 +136,11 @@ class Results:
         found = self._fitted(name)
         return None if found is None else found["existence"]
 
+    def part_counts(self, name: str) -> Any | None:
+        """The ``PartCounts`` of one shape: components and copies of every part; None when it was not fitted."""
+        found = self._fitted(name)
+        return None if found is None else found.get("counts")
+
     def hierarchy(self) -> Any | None:
         """The ``Hierarchy`` of the last complete fit."""
         return self._read(self.fit_stage, "hierarchy")

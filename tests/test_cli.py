@@ -114,6 +114,33 @@ def test_exported_points_lie_on_the_input_meshes(folder: Path) -> None:
         assert distance.max() < 1e-5 * np.ptp(mesh.vertices, axis=0).max()
 
 
+def test_exported_components_and_part_counts(folder: Path) -> None:
+    names = json.loads((folder / "export" / "labels" / "labels.json").read_text())
+    with open(folder / "export" / "parts.csv", newline="") as file:
+        header, *rows = csv.reader(file)
+    assert header == ["shape", "part", "components", "of", "copies"] and len(rows) == COUNT * len(names)
+    of_shape: dict[str, dict[str, list[int]]] = {}
+    for shape, part, *numbers in rows:
+        of_shape.setdefault(shape, {})[part] = list(map(int, numbers))
+    component = None
+    for file in sorted((folder / "family").glob("*.obj")):
+        with np.load(folder / "export" / "points" / f"{file.stem}.npz", allow_pickle=False) as arrays:
+            assert component is None or np.array_equal(component, arrays["component"])
+            part, component, existence = arrays["part"], arrays["component"], arrays["existence"]
+            copies, part_of_copies = arrays["copies"], arrays["part_of_copies"]
+        for key, name in names.items():
+            mine = part == int(key)
+            here, of, extra = of_shape[file.stem][name]
+            assert len(np.unique(component[mine])) == of and len(np.unique(component[mine & existence])) == here
+            assert set(component[mine].tolist()) in ({-1}, set(range(of)))
+            assert (extra > 0) == bool((part_of_copies == int(key)).any())
+            # a component is there whole or not at all
+            for one in np.unique(component[mine]):
+                assert len(set(existence[mine & (component == one)].tolist())) == 1
+        assert copies.shape == (len(part_of_copies), 3) and np.isfinite(copies).all()
+    assert any(of > 1 for parts in of_shape.values() for _, of, _ in parts.values())
+
+
 def test_exported_tables(folder: Path) -> None:
     with open(folder / "export" / "groups.csv", newline="") as file:
         rows = list(csv.reader(file))

@@ -20,6 +20,8 @@ class Beliefs:
     ``lent`` the parts that this template lacks and another exemplar's beliefs bring: (part, those beliefs);
     ``copies`` is the part (C = P) of surface points on a copy of a component that φ1 took for another part, -1
     elsewhere, empty where there is none (see ``deformation.copies``): it has a label, and no template point of its own;
+    ``spare`` (S = K) marks template points of components that the shape lacks though it has their part, as the outer
+    ones of an exemplar's four engines on a shape with two; empty where there are none (see ``deformation.components``);
     ``pose`` turns the shape as the family lies (§7): positions here are the shape's own, ``x @ pose.T`` the family's.
     """
 
@@ -34,7 +36,13 @@ class Beliefs:
     misfit: Float[np.ndarray, " L"]
     lent: tuple[tuple[int, Beliefs], ...] = ()
     copies: Int[np.ndarray, " C"] = field(default_factory=lambda: np.zeros(0, np.int32))
+    spare: Bool[np.ndarray, " S"] = field(default_factory=lambda: np.zeros(0, bool))
     pose: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
+
+    def alive(self, label: Int[np.ndarray, " K"]) -> Bool[np.ndarray, " K"]:
+        """Which template points (K,), whose parts are ``label``, the shape has: active parts', and no spare ones."""
+        there = self.active[label]
+        return there & ~self.spare if len(self.spare) else there
 
     def to_family(self, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Positions (n, 3) on the shape, turned as the family lies: what shapes are compared in, and learnt from."""

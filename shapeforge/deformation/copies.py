@@ -74,7 +74,7 @@ def find_copies(
     the other ``templates`` those of parts that it lacks.  Pieces with painted points stay as they are.
     """
     template = templates[beliefs.template]
-    alive = np.flatnonzero(beliefs.active[template.label])
+    alive = np.flatnonzero(beliefs.alive(template.label))
     nearest, gap = (one[:, 0] for one in nearest_points(beliefs.deformed[alive], shape.points))
     normals = mapped_normals(template, beliefs)[alive]
     now = _cost(gap, shape.normals, normals[nearest])

@@ -65,7 +65,7 @@ def weigh(
     found = []
     for belief in beliefs:
         template = templates[belief.template]
-        alive = np.flatnonzero(belief.active[template.label])
+        alive = np.flatnonzero(belief.alive(template.label))
         nearest, distance = (one[:, 0] for one in nearest_points(belief.deformed[alive], problem.points))
         back = nearest_points(problem.points, thinned(belief.deformed[alive], 1500))[1]
         turn = 1.0 - np.abs((mapped_normals(template, belief)[alive[nearest]] * problem.normals).sum(axis=1))

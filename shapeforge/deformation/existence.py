@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from shapeforge.collection.points import nearest_points
 from shapeforge.deformation import _kernels
@@ -46,8 +46,8 @@ NEGLIGIBLE_SHARE = 0.05
 SEEDED = 0.05
 """Share of the surface from which a part that was proposed for a shape counts as there, as a painted one does."""
 
-Refit = Callable[[Beliefs], tuple[Beliefs, Candidates]]
-"""Lets the beliefs settle for a few updates; returns them with the candidates that were used."""
+Settle = Callable[[Beliefs], tuple[Beliefs, Candidates, Correspondence]]
+"""Lets the beliefs settle for a few updates; returns them with the candidates and correspondences that were used."""
 
 
 def part_prevalence(templates: Sequence[PartTemplates]) -> Float[np.ndarray, " L"]:
@@ -57,18 +57,49 @@ def part_prevalence(templates: Sequence[PartTemplates]) -> Float[np.ndarray, " L
 
 
 def explained(
-    problem: Problem, templates: PartTemplates, candidates: Candidates, beliefs: Beliefs, unary: Float[np.ndarray, " 3"]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    problem: Problem, owner: Int[np.ndarray, " K"], candidates: Candidates, beliefs: Beliefs,
+    unary: Float[np.ndarray, " 3"],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Favourite part (P,), loss without it (P,) and log density under all parts (P,), nats, from φ1 and φ3 alone.
 
-    φ4 and φ5 are left out, so that smoothness of labels cannot talk a part into existence.
+    ``owner`` is the part of each template point, or whatever else is asked about, counted from 0.  φ4 and φ5 are left
+    out, so that smoothness of labels cannot talk a part into existence.
     """
     favourite, loss, by_part = _kernels.explained_without(
         candidates.offsets, candidates.template_index, candidates.costs, problem.points, beliefs.deformed,
-        1.0 / unary, templates.label, templates.n_parts, LOSS_CAP,
+        1.0 / unary, owner, int(owner.max()) + 1, LOSS_CAP,
     )  # fmt: skip
     best = np.maximum(by_part.max(axis=1), -1e6)
     return favourite, loss, best + np.log(np.exp(by_part - best[:, None]).sum(axis=1) + 1e-300)
+
+
+def gap_to_surface(problem: Problem, beliefs: Beliefs) -> Float[np.ndarray, " K"]:
+    """Distance of each deformed template point (K,) to the surface, diagonals.
+
+    From samples to the surface between them: half their spacing says nothing.
+    """
+    return np.maximum(nearest_points(problem.points, beliefs.deformed)[1][:, 0] - 0.5 * problem.spacing, 0.0)
+
+
+def signs_of(
+    problem: Problem, beliefs: Beliefs, normals: Float[np.ndarray, "K 3"], gap: Float[np.ndarray, " K"],
+    supported: Bool[np.ndarray, " K"], mine: Bool[np.ndarray, " K"], claimed: Bool[np.ndarray, " P"],
+    loss: Float[np.ndarray, " P"],
+) -> dict[str, float]:  # fmt: skip
+    """What speaks for or against the template points ``mine`` (K,), whose favourite points are ``claimed`` (P,)."""
+    nearest = nearest_points(beliefs.deformed[mine], problem.points[claimed])[0][:, 0]
+    return {
+        "support": float(supported[mine].mean()), "gap": float(np.log(gap[mine].mean() + 0.003)),
+        "worth": min(float(loss[claimed].mean()), LOSS_CAP),
+        "facing": float(np.abs((normals[mine][nearest] * problem.normals[claimed]).sum(axis=1)).mean()),
+    }  # fmt: skip
+
+
+def worth_on_trial(
+    before: Float[np.ndarray, " P"], after: Float[np.ndarray, " P"], claimed: Bool[np.ndarray, " P"]
+) -> float:
+    """Nats that ``claimed`` points (P,) lose on average by a trial; of the log density of all, before and after it."""
+    return float(np.clip(before - after, 0.0, LOSS_CAP)[claimed].mean())
 
 
 def switch_off_missing(
@@ -79,7 +110,7 @@ def switch_off_missing(
     beliefs: Beliefs,
     unary: Float[np.ndarray, " 3"],
     prevalence: Float[np.ndarray, " L"],
-    refit: Refit,
+    settle: Settle,
 ) -> Beliefs:
     """Deactivate the part that the shape most likely does not have; painted parts always stay, and one part always.
 
@@ -88,35 +119,28 @@ def switch_off_missing(
     """
     if np.sqrt(unary.mean()) > SHARPNESS:
         return beliefs
-    favourite, loss, density = explained(problem, templates, candidates, beliefs, unary)
+    favourite, loss, density = explained(problem, templates.label, candidates, beliefs, unary)
     painted = np.bincount(problem.evidence[problem.evidence >= 0], minlength=templates.n_parts) > 0
     if problem.leaning is not None:
         painted |= np.bincount(problem.leaning.argmax(axis=1), minlength=templates.n_parts) > SEEDED * len(favourite)
-    own = np.bincount(templates.label, minlength=templates.n_parts) * beliefs.active
+    alive = beliefs.alive(templates.label)
+    own = np.bincount(templates.label[alive], minlength=templates.n_parts)
     supported = correspondence.mass > SUPPORTED * len(problem.points) / own.sum()
-    # from samples to the surface between them: half their spacing says nothing
-    gap = np.maximum(nearest_points(problem.points, beliefs.deformed)[1][:, 0] - 0.5 * problem.spacing, 0.0)
-    normals = mapped_normals(templates, beliefs)
+    gap, normals = gap_to_surface(problem, beliefs), mapped_normals(templates, beliefs)
     odds = beliefs.misfit.copy()  # those of parts found missing before are kept: the window shows them
     for part in np.flatnonzero(beliefs.active).tolist():
-        claimed, mine = favourite == part, templates.label == part
+        claimed, mine = favourite == part, alive & (templates.label == part)
         if claimed.sum() < NEGLIGIBLE_SHARE * own[part] / own.sum() * len(problem.points):
             odds[part] = -np.inf
             continue
-        nearest = nearest_points(beliefs.deformed[mine], problem.points[claimed])[0][:, 0]
-        signs = {
-            "support": supported[mine].mean(), "gap": np.log(gap[mine].mean() + 0.003),
-            "worth": min(float(loss[claimed].mean()), LOSS_CAP),
-            "facing": np.abs((normals[mine][nearest] * problem.normals[claimed]).sum(axis=1)).mean(),
-            "prevalence": prevalence[part],
-        }  # fmt: skip
+        signs = signs_of(problem, beliefs, normals, gap, supported, mine, claimed, loss)
+        signs["prevalence"] = float(prevalence[part])
         odds[part] = INTERCEPT + sum(SIGNS[name] * value for name, value in signs.items())
         # the loss with the others staying where they are is an upper bound; the trial is for parts that it may condemn
         if odds[part] - SIGNS["worth"] * signs["worth"] < DOUBT and not painted[part] and beliefs.active.sum() > 1:
-            trial, tried = refit(without(beliefs, part))
-            after = explained(problem, templates, tried, trial, unary)[2]
-            worth = float(np.clip(density - after, 0.0, LOSS_CAP)[claimed].mean())
-            odds[part] += SIGNS["worth"] * (worth - signs["worth"])
+            trial, tried, _ = settle(without(beliefs, part))
+            after = explained(problem, templates.label, tried, trial, unary)[2]
+            odds[part] += SIGNS["worth"] * (worth_on_trial(density, after, claimed) - signs["worth"])
     beliefs = replace(beliefs, misfit=odds)
     missing = beliefs.active & ~painted & (odds < DOUBT)
     if (missing == beliefs.active).all():  # the likeliest part stays

@@ -19,6 +19,7 @@ from shapeforge.collection.align import Alignment, affine_align
 from shapeforge.collection.parallel import in_order, shared
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation.beliefs import Beliefs
+from shapeforge.deformation.components import mostly_spare
 from shapeforge.deformation.exemplars import Candidate, blend, compact, weigh, weighted
 from shapeforge.deformation.factors import FLOORS, Covariances
 from shapeforge.deformation.hierarchy import Hierarchy, Link, deformed_family, family_templates
@@ -104,28 +105,32 @@ def family_starts(
     """Two starts of the family's templates on one shape that exemplars have explained.
 
     One with all parts under the affine map of the whole, which may find again what the exemplars had lost; one with the
-    parts that are believed in, each under the affine map that takes it to the surface believed to be its own.
+    parts and components that are believed in, each part under the affine map that takes it to the surface believed to
+    be its own.
     """
     problem, beliefs = make_problem(shape, faces), blend(candidates)
     top, index = hierarchy.top, len(templates)
     there = deformed_family(beliefs, hierarchy)[2]
     believed = np.bincount(top.label[there], minlength=top.n_parts) > 0
     if not believed.any():
-        believed = top.has_part()
-    alignment = _aligned(top.points[believed[top.label]], shape.points, beliefs.pose)
+        believed, there = top.has_part(), np.ones(top.n_points, bool)
+    alignment = _aligned(top.points[there], shape.points, beliefs.pose)
     whole = affine_beliefs(shape, problem, top, index, alignment)
     deformed, maps, offsets = whole.deformed.copy(), whole.maps.copy(), whole.offsets.copy()
     likeliest = beliefs.segmentation.argmax(axis=1)
     for part in np.flatnonzero(believed).tolist():
         mine, theirs = top.label == part, likeliest == part
-        if min(mine.sum(), theirs.sum()) >= LEAST_POINTS:
-            own = affine_align(deformed[mine], shape.points[theirs], n_points=PART_SAMPLE)
+        if min((mine & there).sum(), theirs.sum()) >= LEAST_POINTS:
+            own = affine_align(deformed[mine & there], shape.points[theirs], n_points=PART_SAMPLE)
             maps[part], offsets[part] = own.matrix @ maps[part], own(offsets[part][None])[0]
             deformed[mine] = own(deformed[mine])
     starts = [
         replace(_believing(whole, beliefs, top.has_part()), pose=beliefs.pose),
-        replace(_believing(whole, beliefs, believed), pose=beliefs.pose, deformed=deformed, maps=maps, offsets=offsets),
-    ]
+        replace(
+            _believing(whole, beliefs, believed), pose=beliefs.pose, deformed=deformed, maps=maps, offsets=offsets,
+            spare=mostly_spare(top, believed[top.label] & ~there),
+        ),
+    ]  # fmt: skip
     return tuple(map(compact, weigh(problem, (*templates, top), starts, family=True)))
 
 

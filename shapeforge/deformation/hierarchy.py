@@ -18,6 +18,7 @@ from shapeforge.collection.align import Alignment, affine_align
 from shapeforge.collection.shape import Shape
 from shapeforge.collection.surface import closest_points
 from shapeforge.deformation.beliefs import Beliefs
+from shapeforge.deformation.components import mostly_spare
 from shapeforge.deformation.factors import FLOORS, initial_covariances
 from shapeforge.deformation.templates import PartTemplates, pair_graph, template_from_points
 from shapeforge.deformation.updates import (
@@ -205,7 +206,11 @@ def _assemble(templates, has, chosen, fits) -> Hierarchy:
         ]
     )
     label = gathered("label")
-    top = template_from_points(points, gathered("normals"), gathered("descriptors"), label, templates[0].part_names)
+    # a single exemplar's components are the family's; of several, put together, what touches is taken for one
+    surface = gathered("component") if len(templates) == 1 else None
+    top = template_from_points(
+        points, gathered("normals"), gathered("descriptors"), label, templates[0].part_names, surface=surface
+    )
     links = []
     for b, template in enumerate(templates):
         index, weight = np.zeros((len(label), 3), np.int32), np.zeros((len(label), 3))
@@ -237,14 +242,23 @@ def deformed_family(
     """
     part = hierarchy.top.label
     link = hierarchy.links[beliefs.template]
-    exists = link.exists & beliefs.active[part]
+    exists = _there(hierarchy, beliefs) & beliefs.active[part]
     deformed = np.einsum("kj,kji->ki", link.weight, beliefs.deformed[link.index])
     variance = (link.weight * beliefs.variance.mean(axis=1)[link.index]).sum(axis=1)
     for lent, lender in beliefs.lent:
         from_lender, places, spread = part == lent, *deformed_family(lender, hierarchy)[:2]
         deformed[from_lender], variance[from_lender] = places[from_lender], spread[from_lender]
-        exists = np.where(from_lender, hierarchy.links[lender.template].exists, exists)
+        exists = np.where(from_lender, _there(hierarchy, lender), exists)
     return deformed, variance, exists
+
+
+def _there(hierarchy: Hierarchy, beliefs: Beliefs) -> Bool[np.ndarray, " K"]:
+    """Top-level template points (K,) that a template knows, without the components that lie mostly on spare ones."""
+    link = hierarchy.links[beliefs.template]
+    if not len(beliefs.spare):
+        return link.exists
+    spare = mostly_spare(hierarchy.top, (link.weight * beliefs.spare[link.index]).sum(axis=1) > 0.5)
+    return link.exists & ~spare if len(spare) else link.exists
 
 
 def corresponding_points(

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation.beliefs import Beliefs
+from shapeforge.deformation.components import spare_in_place, switch_off_spare
 from shapeforge.deformation.energy import free_energy
 from shapeforge.deformation.exemplars import Candidate, compact, unpacked, weigh, weighted
 from shapeforge.deformation.existence import part_prevalence, switch_off_missing
@@ -106,7 +107,7 @@ def fit_shape(
     prior: tuple[np.ndarray, np.ndarray] | None = None,
     pull: np.ndarray | None = None,
 ) -> tuple[Beliefs, Summary]:
-    """One outer round of one template set on one shape: q, s, D ``inner`` times, then existence and the part maps.
+    """One outer round of one template set on one shape: q, s, D ``inner`` times, then existence and the maps.
 
     ``pull`` is φ5's logit Φ per neighbour pair if it is at hand: it is the same for every template set.
     """
@@ -121,15 +122,19 @@ def fit_shape(
             beliefs = update_deformations(templates, graph, correspondence, beliefs, covariances, prior)
         return beliefs, correspondence
 
-    def refit(trial: Beliefs) -> tuple[Beliefs, Candidates]:
-        left = candidates_without(problem, templates, candidates, trial, covariances.descriptor)
-        return settle(trial, left, 2)[0], left
+    def resettle(beliefs: Beliefs) -> tuple[Beliefs, Candidates, Correspondence]:
+        left = candidates_without(problem, templates, candidates, beliefs, covariances.descriptor)
+        beliefs, correspondence = settle(beliefs, left, 2)
+        return beliefs, left, correspondence
 
     candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
     beliefs, correspondence = settle(beliefs, candidates, inner)
     energy = free_energy(problem, templates, graph, candidates, correspondence, beliefs, covariances, pull)
     summary = summarize(problem, templates, graph, candidates, correspondence, beliefs, energy)
-    beliefs = switch_off_missing(
-        problem, templates, candidates, correspondence, beliefs, covariances.unary, prevalence, refit
+    beliefs, left, correspondence = switch_off_spare(
+        problem, templates, candidates, correspondence, beliefs, covariances.unary, resettle
     )
-    return update_maps(templates, correspondence, beliefs), summary
+    beliefs = switch_off_missing(
+        problem, templates, left, correspondence, beliefs, covariances.unary, prevalence, resettle
+    )
+    return spare_in_place(templates, update_maps(templates, correspondence, beliefs)), summary

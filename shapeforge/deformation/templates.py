@@ -6,16 +6,46 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from shapeforge.collection.points import nearest_points
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation import _kernels_pairs
 from shapeforge.deformation.pieces import face_components
 
 NEIGHBOURS = 20
+
+FEWEST_POINTS, SMALLEST_SHARE = 12, 0.005
+"""Template points of a component that is asked about by itself, at least; and as a share of all of them.  What is
+smaller goes with the component of its part that it is nearest to, a pylon with its engine."""
+
+MOST_COMPONENTS = 60
+"""Components asked about at most, the largest: what has more is the soup of a modeller, not copies of a thing."""
+
+ALIKE = 1.5
+"""Ratio of the extents, along every axis, and of the areas up to which two components of a part are copies of each
+other: a frame of four legs is none of its rungs, though both be as wide."""
+
+MIRRORED = 0.06
+"""How far (diagonals) the middle of a component is at most from the mirror image of its twin's."""
+
+MARGIN = 0.01
+"""What extents (diagonals) are lengthened by before they are compared: a bar may be twice as thick as another."""
+
+
+@dataclass(frozen=True, eq=False)
+class Components:
+    """The components of parts that have several: number of each template point (-1: its part has but one), the part
+    (C,) of each component, which ones are copies of each other (C, C), and which one is its mirror image across x (C,):
+    itself, when there is none."""
+
+    number: Int[np.ndarray, " K"]
+    part: Int[np.ndarray, " C"]
+    alike: Bool[np.ndarray, "C C"]
+    twin: Int[np.ndarray, " C"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +81,11 @@ class PartTemplates:
         """``pair_graph`` of the neighbours; it moves along with the templates."""
         return pair_graph(self.neighbours)
 
+    @cached_property
+    def components(self) -> Components:
+        """The components that a shape may have or not (see ``components_of``); they stay when the templates move."""
+        return components_of(self)
+
     def has_part(self) -> np.ndarray:
         """(L,) bool: which parts own template points here."""
         return np.bincount(self.label, minlength=self.n_parts) > 0
@@ -58,8 +93,48 @@ class PartTemplates:
     def moved(self, points: Float[np.ndarray, "K 3"]) -> PartTemplates:
         """The same templates at other positions."""
         moved = replace(self, points=points)
-        moved.__dict__["graph"] = self.graph
+        moved.__dict__.update(graph=self.graph, components=self.components)
         return moved
+
+
+def components_of(templates: PartTemplates) -> Components:
+    """The components of a template set that a shape may have or not, each by itself."""
+    number = np.full(templates.n_points, -1, np.int32)
+    pieces, piece, size = np.unique(
+        np.stack([templates.label, templates.component], axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    piece = piece.reshape(-1)
+    large = np.flatnonzero(size >= max(FEWEST_POINTS, SMALLEST_SHARE * templates.n_points))
+    large = np.sort(large[np.argsort(-size[large], kind="stable")[:MOST_COMPONENTS]])
+    parts: list[int] = []
+    extents, areas, middles = [], [], []
+    for part in np.unique(pieces[large, 0]).tolist():
+        mine = large[pieces[large, 0] == part]
+        if len(mine) < 2:
+            continue
+        for one in mine.tolist():
+            number[piece == one] = len(parts)
+            parts.append(part)
+            extents.append(np.ptp(templates.points[piece == one], axis=0) + MARGIN)
+            areas.append(size[one])
+            middles.append(templates.points[piece == one].mean(axis=0))
+        crumbs = np.flatnonzero((templates.label == part) & (number < 0))
+        known = np.flatnonzero((templates.label == part) & (number >= 0))
+        number[crumbs] = number[known[nearest_points(templates.points[known], templates.points[crumbs])[0][:, 0]]]
+    measures = np.column_stack([np.array(extents).reshape(-1, 3), np.array(areas, float)])
+    part_of, ratio = np.array(parts, np.int32), measures[:, None] / measures[None]
+    close = np.maximum(ratio, 1 / ratio).max(axis=2, initial=1.0) < ALIKE
+    alike = close & (part_of[:, None] == part_of) & ~np.eye(len(parts), dtype=bool)
+    return Components(number, part_of, alike, _twins(np.array(middles).reshape(-1, 3), alike))
+
+
+def _twins(middle: np.ndarray, alike: np.ndarray) -> Int[np.ndarray, " C"]:
+    """Mirror image across x of each component (C,), by their middles (C, 3): a copy that is there, else itself."""
+    off = np.linalg.norm(middle[:, None] * [-1, 1, 1] - middle[None], axis=2)
+    itself = np.eye(len(middle), dtype=bool)
+    off = np.where(alike | itself, off, np.inf)
+    nearest = off.argmin(axis=1) if len(middle) else np.zeros(0, int)
+    return np.where(off.min(axis=1, initial=np.inf) < MIRRORED, nearest, np.arange(len(middle))).astype(np.int32)
 
 
 def template_from_points(

@@ -94,7 +94,7 @@ def find_candidates(
 
     Only template points of active parts take part.  The normals of the template are carried along by its part maps.
     """
-    rows = np.flatnonzero(beliefs.active[templates.label]).astype(np.int32)
+    rows = np.flatnonzero(beliefs.alive(templates.label)).astype(np.int32)
     by_point = nearest_points(beliefs.deformed[rows], problem.points, POINT_CANDIDATES)[0]
     found = nearest_points(problem.points, beliefs.deformed[rows], TEMPLATE_CANDIDATES)[0]
     by_template = np.full((templates.n_points, found.shape[1]), -1, np.int32)
@@ -114,7 +114,7 @@ def candidates_without(
 
     Only samples that lost a candidate look for their nearest template points again.
     """
-    alive = beliefs.active[templates.label]
+    alive = beliefs.alive(templates.label)
     lost = np.add.reduceat(np.append(~alive[candidates.template_index], False), candidates.offsets[:-1])
     affected = np.flatnonzero((lost > 0) & (np.diff(candidates.offsets) > 0))
     rows = np.flatnonzero(alive).astype(np.int32)
@@ -259,7 +259,7 @@ def summarize(
     correspondence: Correspondence, beliefs: Beliefs, energy: float,
 ) -> Summary:  # fmt: skip
     """What this shape adds to the piecewise maximum-likelihood covariances and to the template update."""
-    alive = beliefs.active[templates.label]
+    alive = beliefs.alive(templates.label)
     weight, unary, descriptor, by_part = _kernels.residual_sums(
         candidates.offsets, candidates.template_index, correspondence.q, problem.points, beliefs.deformed,
         problem.descriptors, templates.descriptors, templates.label, templates.n_parts,

@@ -30,7 +30,8 @@ class FittedPoints:
 
     ``turn`` (3, 3) turns the shape as the family lies; positions are so turned, the mesh has to be (see ``turned``).
     ``active`` (L,) are the parts of this template that the shape has; ``lent`` the points (n, 3) of parts that another
-    exemplar's template brings: (part, points, index of that template).
+    exemplar's template brings: (part, points, index of that template); ``spare`` (K,) marks points of components that
+    the shape lacks (empty: none).
     """
 
     positions: Float[np.ndarray, "K 3"]
@@ -38,6 +39,12 @@ class FittedPoints:
     active: Bool[np.ndarray, " L"]
     turn: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
     lent: tuple[tuple[int, Float[np.ndarray, "_ 3"], int], ...] = ()
+    spare: Bool[np.ndarray, " S"] = field(default_factory=lambda: np.zeros(0, bool))
+
+    def alive(self, label: Int[np.ndarray, " K"]) -> Bool[np.ndarray, " K"]:
+        """Which of the points (K,), whose parts are ``label``, the shape has."""
+        there = self.active[label]
+        return there & ~self.spare if len(self.spare) == len(label) else there
 
     @property
     def parts(self) -> Bool[np.ndarray, " L"]:
@@ -109,7 +116,7 @@ def fitted_points(beliefs: Any, looks: Sequence[TemplateLook]) -> FittedPoints:
         lent.append((int(part), np.asarray(beliefs.to_family(own), np.float32), int(theirs.template)))
     return FittedPoints(
         np.asarray(beliefs.to_family(beliefs.deformed), np.float32), int(beliefs.template), beliefs.active,
-        np.asarray(beliefs.pose, float), tuple(lent),
+        np.asarray(beliefs.pose, float), tuple(lent), beliefs.spare,
     )  # fmt: skip
 
 
@@ -148,7 +155,7 @@ def point_colours(
         values = np.zeros(len(look.label)) if moved is None else np.asarray(moved, float) / FULL_HEAT
         return heat(values)
     colours = look.inks[look.label]
-    colours[~fitted.active[look.label]] = rgb(SWITCHED_OFF)
+    colours[~fitted.alive(look.label)] = rgb(SWITCHED_OFF)
     return colours
 
 
@@ -204,7 +211,7 @@ def template_view(
     if look is not None and now is not None and len(now.positions) == len(look.label):
         moved = movement(now, before)
         colours = point_colours(look, now, by, moved)
-        on = now.active[look.label]
+        on = now.alive(look.label)
         positions = np.asarray(now.positions, float)
         layers.append(PointLayer("points", positions[on], colours[on], dot))
         off = ~on & ~np.isin(look.label, [part for part, _, _ in now.lent])

@@ -116,8 +116,12 @@ class FitRecord:
             end = fitted_points(beliefs, self.looks)
             rounds = [  # how a shape was turned is known at the end only: so are all its rounds shown
                 FittedPoints(
-                    np.asarray(beliefs.to_family(np.asarray(points, float)), np.float32), template, end.active, end.turn
-                )
+                    np.asarray(beliefs.to_family(np.asarray(points, float)), np.float32),
+                    template,
+                    end.active,
+                    end.turn,
+                    spare=end.spare if template == end.template else np.zeros(0, bool),
+                )  # fmt: skip
                 for points, template in zip(self.project.rounds(name), templates, strict=False)
             ]
             newest = max(self._on_disk, 0)

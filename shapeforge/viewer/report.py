@@ -52,6 +52,7 @@ def report_text(project: Any, *, measures: Mapping[str, Any] | None = None, most
         ("overview", "Overview", sections.overview(project)),
         ("groups", "Groups", sections.groups(project)),
         ("shapes", "Shapes", sections.shapes(project, shown)),
+        ("parts", "Parts", sections.parts(project, shown)),
         ("fit", "Fit", sections.fit(project)),
         ("family", "What varies", sections.directions(project)),
         ("new", "New shapes", sections.new_shapes(project)),

@@ -154,6 +154,25 @@ def _about(project: Any, name: str) -> str:
     return words + "</small>" + bar
 
 
+def parts(project: Any, shown: Sequence[str]) -> str:
+    """How many components of every part each of the shapes ``shown`` has, and how many copies beside them."""
+    found = {name: project.part_counts(name) for name in shown}
+    rows = [
+        [escape(name), *(_count(*of) for of in zip(one.components.tolist(), one.copies.tolist(), strict=True))]
+        for name, one in found.items()
+        if one is not None
+    ]
+    if not rows:
+        return ""
+    note = "<p class=note>Components of every part, such as legs; + copies that the exemplars do not have.</p>"
+    return note + table(rows, ("shape", *map(escape, _part_names(project))))
+
+
+def _count(components: int, copies: int) -> str:
+    """A number of components and of copies beside them, in words."""
+    return f"{components} + {copies}" if copies else str(components or "–")
+
+
 def fit(project: Any) -> str:
     """Curves and figures of the fit."""
     record = project.stage_record(project.fit_stage)

@@ -43,6 +43,12 @@ def test_switched_off_parts_are_grey():
     assert [tuple(c) for c in colours] == [rgb(PARTS[0])] * 2 + [rgb(SWITCHED_OFF)] * 2
 
 
+def test_points_of_components_that_the_shape_lacks_are_grey():
+    spare = np.array([False, True, False, False])
+    colours = point_colours(LOOK, replace(points(np.zeros((4, 3))), spare=spare), "part")
+    assert [tuple(c) for c in colours] == [rgb(PARTS[0]), rgb(SWITCHED_OFF), *[rgb(PARTS[1])] * 2]
+
+
 def test_movement_is_per_point_and_only_within_a_template():
     before, now = points(np.zeros((4, 3))), points(np.eye(4, 3) * 0.01)
     np.testing.assert_allclose(movement(now, before), [0.01, 0.01, 0.01, 0], atol=1e-7)

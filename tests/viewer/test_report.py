@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from shapeforge.deformation.components import PartCounts
 from shapeforge.generative.units import bundles
 from shapeforge.viewer import likeness, svg
 from shapeforge.viewer.pictures import close_studio
 from shapeforge.viewer.report import chosen_shapes, report_text, write_report
 from shapeforge.viewer.report_measures import flattened
-from shapeforge.viewer.report_sections import BUNDLES, recorded_movement
+from shapeforge.viewer.report_sections import BUNDLES, parts, recorded_movement
 from tests.viewer.learned_family import learned_family
 
 
@@ -86,7 +87,7 @@ def test_page_stands_alone_and_is_whole(whole):
     text = report_text(whole)
     page = Page(text)
     assert not page.open, f"left open: {page.open}"
-    assert page.anchors >= {"overview", "groups", "shapes", "fit", "family", "new", "measures"}
+    assert page.anchors >= {"overview", "groups", "shapes", "parts", "fit", "family", "new", "measures"}
     for address in page.addresses:
         assert address.startswith(("data:image/", "#")), address[:80]
     assert not re.search(r"url\(|@import|<script|<link|https?://(?!www\.w3\.org)", text)
@@ -117,6 +118,23 @@ def test_every_shape_is_there_three_times_and_looks_different(whole):
     assert not np.array_equal(low, half) and not np.array_equal(half, high), "a bundle must be seen to do something"
     for name in whole.draws()["names"]:
         assert name in by_alt
+
+
+def test_components_and_copies_of_every_part_are_told(whole, monkeypatch):
+    name = whole.fit_names[1]
+    counts = PartCounts(
+        np.array([4, *[0] * (whole.part_of_point.max())]), np.array([2, *[0] * whole.part_of_point.max()])
+    )
+    asked = whole.part_counts
+    monkeypatch.setattr(type(whole), "part_counts", lambda self, one: counts if one == name else asked(one))
+    text = parts(whole, whole.fit_names[:3])
+    for one in whole.fit_names[:3]:
+        cells = re.search(rf"<tr><td>{one}</td>(.*?)</tr>", text).group(1)
+        found = [re.sub("<.*?>", "", cell) for cell in cells.split("</td>")[:-1]]
+        if one == name:
+            assert found == ["4 + 2", *["–"] * (len(found) - 1)]
+        else:
+            assert found == [str(n or "–") for n in asked(one).components.tolist()]
 
 
 def test_every_picture_has_words_and_a_size(whole):
