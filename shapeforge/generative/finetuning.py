@@ -70,9 +70,9 @@ def loss_and_gradient(
     dtype = machine.dtype
 
     # --- up -------------------------------------------------------------------------------------------------------
-    features = list(run(lambda l: gated_features(machine, batch.values, batch.exists, l), parts))  # noqa: E741
+    features = list(run(lambda part: gated_features(machine, batch.values, batch.exists, part), parts))
     flat = [weight.reshape(-1, weight.shape[2]) for weight in machine.weights]
-    said = np.concatenate(list(run(lambda l: features[l] @ flat[l], parts)), axis=1)  # noqa: E741
+    said = np.concatenate(list(run(lambda part: features[part] @ flat[part], parts)), axis=1)
     known = (batch.exists - machine.existence_centre).astype(dtype)
     totals = list(machine.biases)
     totals[0] = totals[0] + said
