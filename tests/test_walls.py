@@ -13,7 +13,7 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 PACKAGE = REPOSITORY / "shapeforge"
 ROOMS = ("collection", "deformation", "generative", "synthesis", "validation", "store", "stages", "viewer")
 """From left to right: a room imports only from rooms to its left."""
-FACES = ("__init__", "cli", "cli_output", "cli_words", "demo")
+FACES = ("__init__", "cli", "cli_output", "cli_results", "cli_words", "demo")
 """Modules that import any room, the viewer lazily."""
 FORBIDDEN = {"utils", "helpers", "common", "base", "core", "manager", "config", "types"}
 QT = {"PySide6", "qtpy", "superqt", "qtawesome", "pyqtgraph"}
