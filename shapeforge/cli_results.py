@@ -112,13 +112,14 @@ def info(path: ProjectPath, as_json: Json = False) -> None:
     from rich.table import Table
 
     from shapeforge import stages
+    from shapeforge.stages_status import counted
     from shapeforge.store import Project
 
     project = Project.open(path)
     states = stages.status(project)
     problems, groups, parts = project.problems, project.groups, project.part_names
     console = Console(highlight=False, soft_wrap=True)
-    console.print(f"{project.name}: {len(project.names)} shapes", markup=False)
+    console.print(f"{project.name}: {counted(len(project.names), 'shape')}", markup=False)
     if groups is not None:
         console.print(f"exemplars: {', '.join(project.names[t] for t in groups.exemplars)}", markup=False)
     if parts is not None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from shapeforge.collection.labels import LABELS_FILE, PartNames
 from shapeforge.stages import Progress, StageError, Task
-from shapeforge.stages_status import REVISION, options_of
+from shapeforge.stages_status import REVISION, counted, options_of
 from shapeforge.store import Problem, Project, key_of
 from shapeforge.store_arrays import read_record, write_record
 from shapeforge.store_results import write_names
@@ -35,7 +35,7 @@ def group(task: Task) -> Iterator[Progress]:
             joined = join_groups(kept, project.shapes, [project.index(name) for name in new], executor=task.workers)
             project.set_groups(joined, by_hand=True)
             names = [project.names[t] for t in joined.exemplars]
-            text = f"{len(new)} new shape{'s' * (len(new) != 1)} joined the groups made by hand"
+            text = f"{counted(len(new), 'new shape')} joined the groups made by hand"
             task.summary |= {"text": text, "groups": len(names), "exemplars": names, "joined": list(new)}
             yield task.progress("groups", 1, 1, text)
             return
@@ -56,7 +56,7 @@ def group(task: Task) -> Iterator[Progress]:
         raise StageError(f"the shapes of {project.path} could not be grouped; name exemplars: --exemplars NAME NAME")
     project.set_groups(state.groups)
     names = [project.names[t] for t in state.groups.exemplars]
-    text = f"{len(names)} group{'s' * (len(names) > 1)}, exemplars {', '.join(names)}"
+    text = f"{counted(len(names), 'group')}, exemplars {', '.join(names)}"
     task.summary |= {"text": text, "groups": len(names), "exemplars": names, "stop_reason": state.stop_reason}
     yield task.progress("groups", 1, 1, text, state=state)
 
@@ -115,7 +115,7 @@ def label(task: Task) -> Iterator[Progress]:
                 message = str(error)
         yield task.progress("read", step + 1, len(wanted), message, problem=problem)
     project.set_problems(problems, [str((folder / f"{name}.seg").resolve()) for name in wanted])
-    text = f"{len(taken)} shape{'s' * (len(taken) != 1)} labelled with {len(part_names)} parts"
+    text = f"{counted(len(taken), 'shape')} labelled with {counted(len(part_names), 'part')}"
     if asked and absent:
         text += f", {', '.join(absent)} without"
     task.summary |= {"text": text, "labelled": taken, "without": absent, "not_read": [p.file for p in problems]}

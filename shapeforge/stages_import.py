@@ -14,6 +14,7 @@ import numpy as np
 
 from shapeforge.stages import Progress, StageError, Task
 from shapeforge.stages_pose import BY_HAND, settle_poses, turned_key
+from shapeforge.stages_status import counted
 from shapeforge.store import Problem, Project, key_of
 from shapeforge.store_arrays import copy_file
 
@@ -60,7 +61,7 @@ def import_meshes(task: Task) -> Iterator[Progress]:
     for problem in failed:
         yield task.progress("read", 0, total, str(problem), problem=problem)
     if kept and readings:
-        yield task.progress("read", len(kept), total, f"{len(kept)} shapes are there already")
+        yield task.progress("read", len(kept), total, f"{counted(len(kept), 'shape')} there already")
     records: dict[str, dict[str, Any]] = {}
     records_read, saved = set(), time.monotonic()
     results = task.workers.map(lambda reading: _import_one(project, reading, task.options), readings)
@@ -82,7 +83,7 @@ def import_meshes(task: Task) -> Iterator[Progress]:
     project.set_problems(problems, about)
     yield from settle_poses(task)
     errors = sum(problem.kind == "error" for problem in problems)
-    text = f"{len(project.names)} shapes" + (f", {errors} files not read" if errors else "")
+    text = counted(len(project.names), "shape") + (f", {counted(errors, 'file')} not read" if errors else "")
     task.summary |= {
         "text": text,
         "shapes": len(project.names),

@@ -44,7 +44,10 @@ def read_recipe(path: str | Path) -> dict[str, Any]:
     """A recipe from its file.  StageError names the file and what is wrong with it."""
     try:
         found = json.loads(Path(path).read_text("utf-8"))
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        reason = (error.strerror or "cannot be read").lower()
+        raise StageError(f"{path}: {reason}. Name a MESH{ENDING} that `shapeforge synthesize` wrote.") from error
+    except ValueError as error:
         raise StageError(f"{path}: wanted a recipe that was written beside a mesh: {error}") from error
     if not isinstance(found, dict) or found.get("format") != "shapeforge recipe" or found.get("version") != 1:
         raise StageError(
