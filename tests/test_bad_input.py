@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import struct
 from pathlib import Path
 
@@ -70,10 +71,22 @@ def cube(tmp_path: Path) -> Path:
     return folder / "cube.obj"
 
 
+@pytest.fixture(scope="session")
+def imported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a cube in ``good`` and the project ``p`` of it."""
+    folder = tmp_path_factory.mktemp("imported")
+    (folder / "good").mkdir()
+    (folder / "good" / "cube.obj").write_text(CUBE)
+    assert run_command(["import", str(folder / "p"), str(folder / "good"), "--points", "200"]) == 0
+    return folder
+
+
 @pytest.fixture
-def project(tmp_path: Path, cube: Path, capsys: pytest.CaptureFixture[str]) -> Project:
-    status, _, err = run(capsys, "import", tmp_path / "p", cube, "--points", 200)
-    assert status == 0, err
+def project(tmp_path: Path, cube: Path, imported: Path) -> Project:
+    """A project of its own, of one cube, that was imported from ``cube``."""
+    shutil.copytree(imported, tmp_path, dirs_exist_ok=True)
+    file = tmp_path / "p" / "project.json"
+    file.write_text(file.read_text().replace(str(imported), str(tmp_path)))
     return Project.open(tmp_path / "p")
 
 

@@ -124,16 +124,6 @@ def test_new_shapes_have_copies_too_and_they_are_stored(two_and_four, tmp_path):
         np.testing.assert_array_equal(before.copies, after.copies)
 
 
-def test_two_engines_against_an_exemplar_with_four():
-    """Nothing else is taken for an engine, and both engines are."""
-    exemplar, shape = jets(True, 1)[0], jets(False, 1)[0]
-    state, shapes = fitted(exemplar, [shape])
-    faces = label_faces(shapes[1], state.beliefs[1], explained=explanations(state, 1))[0]
-    engine, area = shape.part_names.index("engine"), shape.mesh.face_areas
-    assert right_share(shape, faces, "engine left") > 0.8 and right_share(shape, faces, "engine right") > 0.8
-    assert area[(faces == engine) & (shape.faces != engine)].sum() < 0.01 * area.sum()
-
-
 def test_a_fifth_leg_is_a_leg():
     made = [generate_one("chairs", i, seed=11, broken=0.0, classes=("side",)) for i in range(3)]
     exemplar, five = made[0], []

@@ -49,10 +49,15 @@ def refit(family, **options):
     return list(refit_templates(state, shapes, groups, labels, names, **options))
 
 
-def test_a_few_strokes_put_a_shape_right_and_the_others_keep_what_was_good(family):
+@pytest.fixture(scope="module")
+def refitted(family):
+    """The states of taking it up again."""
+    return refit(family)
+
+
+def test_a_few_strokes_put_a_shape_right_and_the_others_keep_what_was_good(family, refitted):
     shapes, groups, _, names, before, labels = family
-    states = refit(family)
-    after = states[-1]
+    after = refitted[-1]
     assert share_right(family, before, WRONG) < 0.5 and share_right(family, after, WRONG) > 0.8
     others = [t for t in range(SHAPES) if t not in labels]
     kept, had = ([share_right(family, state, t) for t in others] for state in (after, before))
@@ -67,22 +72,20 @@ def test_a_few_strokes_put_a_shape_right_and_the_others_keep_what_was_good(famil
     assert share_right(family, after, WRONG) > share_right(family, plain, WRONG) + 0.2
 
 
-def test_it_is_a_few_rounds_and_tells_them(family):
-    before = family[4]
-    states = refit(family)
+def test_it_is_a_few_rounds_and_tells_them(family, refitted):
+    before, states = family[4], refitted
     assert states[0].phase == "corrected" and states[0].round == before.round
     assert [state.round for state in states[1:]] == list(range(before.round + 1, before.round + WARM_ROUNDS + 1))
     assert all(state.of == before.round + WARM_ROUNDS for state in states) and states[-1].stop_reason
     assert len(states[-1].templates) == len(before.templates)
 
 
-def test_stopped_after_any_state_it_goes_on_to_the_same_end(family):
+def test_stopped_after_any_state_it_goes_on_to_the_same_end(family, refitted):
     shapes, groups, _, names, _, labels = family
-    whole = refit(family)
-    for stopped in whole[:-1]:
+    for stopped in refitted[:-1]:
         rng = np.random.default_rng(0)
         end = list(refit_templates(stopped, shapes, groups, labels, names, rng=rng))[-1]
-        for one, other in zip(end.beliefs, whole[-1].beliefs, strict=True):
+        for one, other in zip(end.beliefs, refitted[-1].beliefs, strict=True):
             assert np.array_equal(one.deformed, other.deformed)
 
 
