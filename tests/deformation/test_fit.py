@@ -20,7 +20,7 @@ from shapeforge.deformation.faces import explanations, face_probabilities, label
 from shapeforge.deformation.fit import FitDiverged, Within, fit_templates
 from shapeforge.deformation.hierarchy import corresponding_points
 
-N_POINTS = 500
+N_POINTS = 700
 
 
 @pytest.fixture(scope="module")
