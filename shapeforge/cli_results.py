@@ -53,7 +53,7 @@ def export(
 def validate(
     path: ProjectPath,
     labels: Annotated[Path | None, typer.Option(help="Folder of true .seg files and labels.json.")] = None,
-    landmarks: Annotated[Path | None, typer.Option(help="landmarks.json: {shape: {landmark: [x, y, z]}}.")] = None,
+    landmarks: Annotated[Path | None, typer.Option(help="landmarks.json: {shape: {landmark: \\[x, y, z]}}.")] = None,
     classes: Annotated[Path | None, typer.Option(help="classes.csv: name,class.")] = None,
     seed: Seed = None,
     jobs: Jobs = None,
