@@ -12,6 +12,9 @@ import numpy as np
 import pytest
 
 from shapeforge.cli import run_command
+from shapeforge.cli_output import follow
+from shapeforge.stages import Progress, StageError
+from shapeforge.stages_recipes import read_recipe
 from shapeforge.store import Project
 
 CUBE = """v 0 0 0
@@ -221,6 +224,9 @@ def test_labels_of_shapes_that_are_not_there(
     assert status == 1 and "is not a folder" in err
     status, _, err = run(capsys, "label", project.path, tmp_path, "--only", "exemplars")
     assert status == 1 and "shapeforge group" in err
+    (tmp_path / "empty").mkdir()
+    status, _, err = run(capsys, "label", project.path, tmp_path / "empty")
+    assert status == 1 and "a folder without .seg files" in err
 
 
 # -- the rest of the command line ------------------------------------------------------------------------------------
@@ -323,6 +329,28 @@ def test_json_says_what_failed(
     got, out, _ = run(capsys, *words, "--json")
     found = json.loads(out.splitlines()[-1])
     assert got == status and found["verb"] == arguments[0] and found["error"]
+
+
+def test_lines_for_a_file_tell_rounds_and_not_epochs(capsys: pytest.CaptureFixture[str]) -> None:
+    """Where there is no terminal for a bar: learning within refine has hundreds of epochs."""
+    phases = [("alternate", "round 1"), *(("learn", f"epoch {e}") for e in range(300)), ("faces", "labelled")]
+    steps = [Progress("refine", phase, 0, 3, message) for phase, message in phases]
+    assert follow(None, iter(steps), "refine") is steps[-1]
+    assert capsys.readouterr().err.split("\n") == ["  round 1", ""]
+
+
+def test_help_shows_what_a_landmark_is(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "[x, y, z]" in run(capsys, "validate", "--help")[1]
+
+
+def test_one_shape_is_no_shapes(project: Project, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "info", project.path)
+    assert status == 0 and "p: 1 shape\n" in out and "1 shapes" not in out
+
+
+def test_a_recipe_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(StageError, match=r"x\.ply\.recipe\.json: no such file.*shapeforge synthesize"):
+        read_recipe(tmp_path / "x.ply.recipe.json")
 
 
 def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
