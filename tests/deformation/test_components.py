@@ -34,7 +34,8 @@ from shapeforge.deformation.updates import (
     update_correspondences,
 )
 from shapeforge.store_arrays import read_record, write_record
-from tests.deformation.test_copies import component_of_face, fitted, jets, prepared, right_share
+from tests.deformation.test_copies import N_POINTS, component_of_face, fitted, jets, right_share
+from tests.generated import prepared
 
 INNER, OUTER = ("engine left", "engine right"), ("outer engine left", "outer engine right")
 
@@ -144,7 +145,7 @@ def test_parts_are_counted(four_and_two):
 def test_copies_are_counted_by_pieces():
     made = generate_one("chairs", 0, seed=11, broken=0.0, classes=("side",))
     more = with_copy(made, ["leg front left"], [0.1, 0.0, 0.0])
-    shape, leg = prepared(more, 0), made.part_names.index("leg")
+    (shape,), leg = prepared([more], N_POINTS), made.part_names.index("leg")
     templates = template_from_exemplar(shape, more.faces, more.part_names)
     names = component_of_face(more)[shape.face_of_point]
     copies = np.where(np.isin(names, ["leg front left again", "leg front right"]), leg, -1).astype(np.int32)

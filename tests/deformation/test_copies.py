@@ -11,7 +11,6 @@ from shapeforge.collection.families import generate_one
 from shapeforge.collection.families.copies import with_copy, without_components
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.iterate import last
-from shapeforge.collection.prepare import prepare_shape
 from shapeforge.deformation.apply import fit_candidates
 from shapeforge.deformation.copies import find_copies
 from shapeforge.deformation.exemplars import blend
@@ -19,17 +18,14 @@ from shapeforge.deformation.faces import Explanations, explanations, label_faces
 from shapeforge.deformation.fit import fit_templates
 from shapeforge.deformation.templates import template_from_exemplar
 from shapeforge.store_arrays import read_record, write_record
+from tests.generated import prepared
 
 N_POINTS = 1500
 
 
-def prepared(made, index: int):
-    return prepare_shape(f"{index}", made.mesh, n_points=N_POINTS, up="keep", rng=np.random.default_rng(index))
-
-
 def fitted(exemplar, others):
     """The last state of a fit with one painted exemplar, and the shapes."""
-    shapes = [prepared(made, index) for index, made in enumerate([exemplar, *others])]
+    shapes = prepared([exemplar, *others], N_POINTS)
     count = len(shapes)
     groups = Groups(("a",), np.zeros(count, int), np.array([0]), np.zeros((count, 2)))
     painted = {0: exemplar.faces.astype(np.int32)}
@@ -143,7 +139,7 @@ def test_legs_that_rails_tie_together_are_components_each():
         made = generate_one("chairs", index, seed=11, broken=0.0, classes=("side",))
         if "stretcher left" in made.components:
             break
-    shape, leg = prepared(made, 0), made.part_names.index("leg")
+    (shape,), leg = prepared([made], N_POINTS), made.part_names.index("leg")
     templates = template_from_exemplar(shape, made.faces, made.part_names)
     mine = np.flatnonzero(templates.label == leg)
     true = component_of_face(made)[shape.face_of_point]

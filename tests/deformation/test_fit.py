@@ -13,12 +13,12 @@ from scipy.spatial import cKDTree
 
 from shapeforge.collection.families import generate
 from shapeforge.collection.groups import Groups
-from shapeforge.collection.prepare import prepare_shape
 from shapeforge.deformation.apply import fit_candidates
 from shapeforge.deformation.exemplars import believed_parts, blend
 from shapeforge.deformation.faces import explanations, face_probabilities, label_faces, template_probabilities
 from shapeforge.deformation.fit import FitDiverged, Within, fit_templates
 from shapeforge.deformation.hierarchy import corresponding_points
+from tests.generated import prepared, true_parts
 
 N_POINTS = 700
 
@@ -28,12 +28,9 @@ def family():
     """Five side chairs and an armchair; the armchair and one side chair are exemplars."""
     made = generate("chairs", 5, seed=11, broken=0.0, classes=("side",))
     made += generate("chairs", 1, seed=11, broken=0.0, classes=("armchair",))
-    shapes = [
-        prepare_shape(f"{i}_{one.name}", one.mesh, n_points=N_POINTS, up="keep", rng=np.random.default_rng(i))
-        for i, one in enumerate(made)
-    ]
+    shapes = prepared(made, N_POINTS)
     names = made[-1].part_names
-    truth = [np.array([names.index(one.part_names[part]) for part in one.faces], np.int32) for one in made]
+    truth = true_parts(made, names)
     groups = Groups(("a", "b"), np.array([0, 0, 0, 0, 0, 1]), np.array([0, 5]), np.zeros((6, 2)))
     return shapes, groups, truth, names
 

@@ -7,9 +7,9 @@ import pytest
 
 from shapeforge.collection.families import generate
 from shapeforge.collection.groups import Groups
-from shapeforge.collection.prepare import prepare_shape
 from shapeforge.deformation.fit import fit_templates
 from shapeforge.deformation.warm import WARM_ROUNDS, corrected_shapes, refit_templates, why_not_warm
+from tests.generated import prepared, true_parts
 
 SHAPES, WRONG, POINTS = 6, 2, 600
 
@@ -19,11 +19,8 @@ def family():
     """Six chairs, of which two are exemplars; on another one seat and back were painted the wrong way round."""
     made = generate("chairs", SHAPES, seed=5, broken=0.0)
     names = made[0].part_names
-    shapes = [
-        prepare_shape(f"{i}_{one.name}", one.mesh, n_points=POINTS, up="keep", rng=np.random.default_rng(i))
-        for i, one in enumerate(made)
-    ]
-    truth = [np.array([names.index(one.part_names[part]) for part in one.faces], np.int32) for one in made]
+    shapes = prepared(made, POINTS)
+    truth = true_parts(made, names)
     groups = Groups(("a", "b"), np.array([0, 0, 0, 0, 1, 1]), np.array([0, 4]), np.zeros((SHAPES, 2)))
     exemplars = {0: truth[0], 4: truth[4]}
     one, other = np.unique(truth[WRONG])[:2]
