@@ -97,7 +97,8 @@ def loaded_by(statement: str) -> set[str]:
         "import shapeforge",
         "import shapeforge; [getattr(shapeforge, name) for name in shapeforge.__all__]",
         "import shapeforge.cli",
-        "import shapeforge.stages_collection, shapeforge.stages_model, shapeforge.stages_synthesis",
+        "import shapeforge.stages_import, shapeforge.stages_collection, shapeforge.stages_model",
+        "import shapeforge.stages_synthesis",
     ],
 )
 def test_no_import_loads_a_window(statement: str) -> None:

@@ -104,7 +104,8 @@ def test_what_was_proposed_is_not_forgotten_after_the_start(family, monkeypatch)
     seeds = true_seeds(family)
 
     def fit():
-        return list(fit_templates(shapes, groups, {}, names, seeds=seeds, rounds=4, rng=np.random.default_rng(0)))
+        options = {"seeds": seeds, "rounds": 3, "family_rounds": 2, "rng": np.random.default_rng(0)}
+        return list(fit_templates(shapes, groups, {}, names, **options))
 
     ours = accuracy(family, fit())
     monkeypatch.setattr("shapeforge.deformation.fit.SEED_WEIGHT", 0.0)
@@ -183,7 +184,7 @@ def test_shapes_are_read_as_they_are_needed(family):
             return future
 
     ahead, done = [], [0]
-    many = Lazy(shapes * 4)
+    many = Lazy(shapes * 2)
     everyone = Groups(("a",), np.zeros(len(many), int), np.array([0]), np.zeros((len(many), 2)))
     with Watchful(1) as executor:
         next(fit_templates(many, everyone, {0: truth[0]}, names, rng=np.random.default_rng(0), executor=executor))
