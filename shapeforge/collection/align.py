@@ -106,7 +106,7 @@ def _closest_points(
     wide = 0.2 * float(np.linalg.norm(np.ptp(target, axis=0)))
     for _ in range(max_iterations):
         nearest_both_ways(_moved(source, matrix, offset), fixed, *pairs)
-        typical = 0.5 * float(np.sqrt(_median(pairs[1])) + np.sqrt(_median(pairs[3])))
+        typical = 0.5 * float(np.sqrt(median_of(pairs[1])) + np.sqrt(median_of(pairs[3])))
         moments = np.zeros(25)
         add_moments(source, target, *pairs, max(4.0 * typical, wide) ** 2 + 1e-12, moments)
         wide *= 0.8
@@ -130,7 +130,7 @@ def _moved(source: np.ndarray, matrix: np.ndarray, offset: np.ndarray) -> np.nda
     return np.ascontiguousarray(matrix @ source.T + offset[:, None], np.float32)
 
 
-def _median(values: np.ndarray) -> np.ndarray:
+def median_of(values: np.ndarray) -> np.floating:
     """The median as NumPy has it, without what that does for axes and NaN: it is asked for in every iteration."""
     half = len(values) // 2
     if len(values) % 2:
