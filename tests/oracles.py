@@ -11,7 +11,7 @@ import numpy as np
 
 
 def finite_differences(record: Any, field: str, value: Callable[[Any], float], step: float) -> list[np.ndarray]:
-    """Slopes of ``value(record)`` by the entries of a field of a frozen record: an array, or each of a tuple of them."""
+    """Slopes of ``value(record)`` by all entries of a field of a frozen record: an array, or each of a tuple."""
     found = getattr(record, field)
     tuples = isinstance(found, tuple)
     slopes = [np.empty(np.shape(item)) for item in (found if tuples else (found,))]
