@@ -38,5 +38,8 @@ def names_in(given: list[str] | None) -> list[str] | None:
     found: list[str] = []
     for text in given:
         file = Path(text)
-        found += file.read_text(encoding="utf-8").split("\n") if file.is_file() else text.split(",")
+        try:
+            found += file.read_text(encoding="utf-8").split("\n") if file.is_file() else text.split(",")
+        except UnicodeDecodeError:
+            raise typer.BadParameter(f"{file}: wanted a text file with one name of a shape a line") from None
     return [name.strip() for name in found if name.strip()]

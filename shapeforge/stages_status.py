@@ -55,6 +55,9 @@ RESULTS: dict[str, tuple[str, ...]] = {
 
 State = Literal["missing", "partial", "done", "stale", "locked"]
 
+LONGEST_VALUE = 60
+"""Characters of an option's value in a message."""
+
 
 @dataclass(frozen=True)
 class Status:
@@ -148,7 +151,7 @@ def difference(record: Mapping[str, Any], options: Mapping[str, Any], inputs: Ma
     changed = [f"the {name} changed" for name, value in inputs.items() if old_inputs.get(name) != value]
     for name, value in options.items():
         if old_options.get(name) != value:
-            changed.append(f"{name} {value} instead of {old_options.get(name)}")
+            changed.append(f"{name} {_short(value)} instead of {_short(old_options.get(name))}")
     return ", ".join(changed) or "it was made by another version of shapeforge"
 
 
@@ -194,6 +197,12 @@ def _status(project: Project, stage: str, before: Mapping[str, Status]) -> Statu
         return Status("partial", "was stopped; it goes on where it was")
     summary = record.get("summary") or {}
     return Status("done", str(summary.get("text", "done")))
+
+
+def _short(value: Any) -> str:
+    """An option's value for a line of text: lists of shapes may be long."""
+    text = str(value)
+    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 1]}…"
 
 
 def counted(number: int, what: str) -> str:

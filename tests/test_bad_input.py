@@ -10,11 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 from shapeforge.cli import run_command
 from shapeforge.cli_output import follow
+from shapeforge.cli_words import names_in
 from shapeforge.stages import Progress, StageError
 from shapeforge.stages_recipes import read_recipe
+from shapeforge.stages_status import difference
 from shapeforge.store import Project
 
 CUBE = """v 0 0 0
@@ -351,6 +354,17 @@ def test_one_shape_is_no_shapes(project: Project, capsys: pytest.CaptureFixture[
 def test_a_recipe_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(StageError, match=r"x\.ply\.recipe\.json: no such file.*shapeforge synthesize"):
         read_recipe(tmp_path / "x.ply.recipe.json")
+    (tmp_path / "x.glb").write_bytes(b"glTF\xc4\xff")
+    with pytest.raises(StageError, match=r"x\.glb: wanted a MESH\.recipe\.json"):
+        read_recipe(tmp_path / "x.glb")
+
+
+def test_a_file_of_names_that_is_something_else_is_named_and_not_recited(tmp_path: Path) -> None:
+    (tmp_path / "chair.glb").write_bytes(b"glTF\xc4\xff")
+    with pytest.raises(typer.BadParameter, match="chair.glb: wanted a text file"):
+        names_in([str(tmp_path / "chair.glb")])
+    told = difference({"options": {"train": None}}, {"train": [f"v {i} 0 0" for i in range(5000)]}, {})
+    assert told.startswith("train ['v 0 0 0'") and "instead of None" in told and len(told) < 120
 
 
 def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
