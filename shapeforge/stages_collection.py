@@ -35,7 +35,7 @@ def group(task: Task) -> Iterator[Progress]:
             joined = join_groups(kept, project.shapes, [project.index(name) for name in new], executor=task.workers)
             project.set_groups(joined, by_hand=True)
             names = [project.names[t] for t in joined.exemplars]
-            text = f"{counted(len(new), 'new shape')} joined the groups made by hand"
+            text = f"{len(new)} new shape{'s' * (len(new) != 1)} joined the groups made by hand"
             task.summary |= {"text": text, "groups": len(names), "exemplars": names, "joined": list(new)}
             yield task.progress("groups", 1, 1, text)
             return
@@ -56,7 +56,7 @@ def group(task: Task) -> Iterator[Progress]:
         raise StageError(f"the shapes of {project.path} could not be grouped; name exemplars: --exemplars NAME NAME")
     project.set_groups(state.groups)
     names = [project.names[t] for t in state.groups.exemplars]
-    text = f"{counted(len(names), 'group')}, exemplars {', '.join(names)}"
+    text = f"{len(names)} group{'s' * (len(names) > 1)}, exemplars {', '.join(names)}"
     task.summary |= {"text": text, "groups": len(names), "exemplars": names, "stop_reason": state.stop_reason}
     yield task.progress("groups", 1, 1, text, state=state)
 

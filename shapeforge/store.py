@@ -22,6 +22,7 @@ import json
 import threading
 import time
 import traceback
+from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -44,11 +45,12 @@ from shapeforge.store_arrays import (
 )
 from shapeforge.store_lock import WriterLock
 from shapeforge.store_results import Results
-from shapeforge.store_shapes import StoredShapes
 
 __all__ = ["FORMAT_VERSION", "Problem", "Project", "ProjectError", "StoredShapes", "key_of"]
 
 FORMAT_VERSION = 1
+SHAPES_IN_MEMORY = 256 << 20
+"""Bytes of prepared shapes kept in memory; the shape used longest ago goes first."""
 _METADATA = {"name": str, "shapes": dict, "problems": list, "labels": dict, "stages": dict}
 _SHAPE_RECORD = {"file", "source", "sha256", "key", "modified", "size", "n_faces"}
 _OWN_FILES = {"project.json", "shapeforge.log", "lock", "meshes", "shapes", "labels"}
@@ -81,6 +83,52 @@ def key_of(*parts: Any) -> str:
             digest.update(json.dumps(part, sort_keys=True).encode())
         digest.update(b"\0")
     return digest.hexdigest()[:16]
+
+
+class StoredShapes(Sequence):
+    """The prepared shapes of a project, read one at a time; the most recently used stay in memory."""
+
+    def __init__(self, project: Project, capacity: int = SHAPES_IN_MEMORY) -> None:
+        self._project, self._capacity = project, capacity
+        self._kept: OrderedDict[str, tuple[str, Shape, int]] = OrderedDict()
+        self._mutex = threading.Lock()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the shapes, in order."""
+        return self._project.names
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __getitem__(self, index: int) -> Shape:
+        """Shape number ``index`` (negative counts from the end); ``IndexError`` when there is none."""
+        return self.named(self.names[index])
+
+    def __iter__(self) -> Iterator[Shape]:
+        return (self.named(name) for name in self.names)
+
+    def named(self, name: str) -> Shape:
+        """The shape called ``name``; :class:`ProjectError` when there is none or its file is damaged."""
+        key = self._project.shape_record(name)["key"]
+        with self._mutex:
+            found = self._kept.get(name)
+            if found is not None and found[0] == key:
+                self._kept.move_to_end(name)
+                return found[1]
+        path = self._project.shape_path(name)
+        try:
+            shape, _ = read_record(path)
+        except ProjectError as error:
+            read_again = f"Delete it if it is there and read the mesh again: shapeforge import {self._project.path}"
+            raise ProjectError(path, error.problem, read_again) from error
+        size = sum(array.nbytes for array in vars(shape).values() if isinstance(array, np.ndarray))
+        size += shape.mesh.vertices.nbytes + 9 * shape.mesh.triangles.nbytes  # with what the mesh caches
+        with self._mutex:
+            self._kept[name] = (key, shape, size)
+            while sum(entry[2] for entry in self._kept.values()) > self._capacity and len(self._kept) > 1:
+                self._kept.popitem(last=False)
+        return shape
 
 
 class Project(Results):

@@ -7,9 +7,9 @@ import pytest
 
 from shapeforge.collection.families import generate
 from shapeforge.collection.groups import Groups
+from shapeforge.collection.prepare import prepare_shape
 from shapeforge.deformation.fit import fit_templates
 from shapeforge.deformation.warm import WARM_ROUNDS, corrected_shapes, refit_templates, why_not_warm
-from tests.generated import prepared, true_parts
 
 SHAPES, WRONG, POINTS = 6, 2, 600
 
@@ -19,8 +19,11 @@ def family():
     """Six chairs, of which two are exemplars; on another one seat and back were painted the wrong way round."""
     made = generate("chairs", SHAPES, seed=5, broken=0.0)
     names = made[0].part_names
-    shapes = prepared(made, POINTS)
-    truth = true_parts(made, names)
+    shapes = [
+        prepare_shape(f"{i}_{one.name}", one.mesh, n_points=POINTS, up="keep", rng=np.random.default_rng(i))
+        for i, one in enumerate(made)
+    ]
+    truth = [np.array([names.index(one.part_names[part]) for part in one.faces], np.int32) for one in made]
     groups = Groups(("a", "b"), np.array([0, 0, 0, 0, 1, 1]), np.array([0, 4]), np.zeros((SHAPES, 2)))
     exemplars = {0: truth[0], 4: truth[4]}
     one, other = np.unique(truth[WRONG])[:2]
@@ -46,15 +49,10 @@ def refit(family, **options):
     return list(refit_templates(state, shapes, groups, labels, names, **options))
 
 
-@pytest.fixture(scope="module")
-def refitted(family):
-    """The states of taking it up again."""
-    return refit(family)
-
-
-def test_a_few_strokes_put_a_shape_right_and_the_others_keep_what_was_good(family, refitted):
+def test_a_few_strokes_put_a_shape_right_and_the_others_keep_what_was_good(family):
     shapes, groups, _, names, before, labels = family
-    after = refitted[-1]
+    states = refit(family)
+    after = states[-1]
     assert share_right(family, before, WRONG) < 0.5 and share_right(family, after, WRONG) > 0.8
     others = [t for t in range(SHAPES) if t not in labels]
     kept, had = ([share_right(family, state, t) for t in others] for state in (after, before))
@@ -69,20 +67,22 @@ def test_a_few_strokes_put_a_shape_right_and_the_others_keep_what_was_good(famil
     assert share_right(family, after, WRONG) > share_right(family, plain, WRONG) + 0.2
 
 
-def test_it_is_a_few_rounds_and_tells_them(family, refitted):
-    before, states = family[4], refitted
+def test_it_is_a_few_rounds_and_tells_them(family):
+    before = family[4]
+    states = refit(family)
     assert states[0].phase == "corrected" and states[0].round == before.round
     assert [state.round for state in states[1:]] == list(range(before.round + 1, before.round + WARM_ROUNDS + 1))
     assert all(state.of == before.round + WARM_ROUNDS for state in states) and states[-1].stop_reason
     assert len(states[-1].templates) == len(before.templates)
 
 
-def test_stopped_after_any_state_it_goes_on_to_the_same_end(family, refitted):
+def test_stopped_after_any_state_it_goes_on_to_the_same_end(family):
     shapes, groups, _, names, _, labels = family
-    for stopped in refitted[:-1]:
+    whole = refit(family)
+    for stopped in whole[:-1]:
         rng = np.random.default_rng(0)
         end = list(refit_templates(stopped, shapes, groups, labels, names, rng=rng))[-1]
-        for one, other in zip(end.beliefs, refitted[-1].beliefs, strict=True):
+        for one, other in zip(end.beliefs, whole[-1].beliefs, strict=True):
             assert np.array_equal(one.deformed, other.deformed)
 
 
