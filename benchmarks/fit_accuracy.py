@@ -4,8 +4,9 @@
                                       [--shapes 24] [--json]
 
 Sets: ikea chairs and tables from $SHAPEFORGE_DATA or ../shared/data (left out, saying so, where absent), generated
-chairs and airplanes.  Poses are known.  Three exemplars that cover the parts are painted by the truth, every method
-gets the same ones, and they take no part in the scores.  A seed draws the points, the generated family and the groups.
+chairs and airplanes; if asked for, the families of ``benchmarks.organic``, too.  Poses are known.  Three exemplars that
+cover the parts are painted by the truth, every method gets the same ones, and they take no part in the scores.  A seed
+draws the points, the generated family and the groups.
 
 Columns: right faces, right area and part IoU, means over the shapes; corr@.02, .05, .10 and the area under that curve
 from 0 to .25 (1 is perfect), landmarks of all ordered pairs of shapes pooled; corr@.05 of the pairs (nearest exemplar,
@@ -40,6 +41,8 @@ from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
 from benchmarks._fit_ablations import ABLATIONS
+from benchmarks.organic import FAMILIES as ORGANIC
+from benchmarks.organic import write_organic
 from shapeforge.collection.align import Alignment, affine_align, thinned
 from shapeforge.collection.families import write_family
 from shapeforge.collection.groups import Groups, group_shapes
@@ -60,6 +63,7 @@ from shapeforge.validation.transfer import affine_transfer, nearest_exemplar, re
 DATA = Path(os.environ.get("SHAPEFORGE_DATA", Path(__file__).parents[2] / "shared" / "data"))
 REAL = {"ikea-chairs": "ikea/chairs", "ikea-tables": "ikea/tables"}
 GENERATED = {"generated-chairs": "chairs", "generated-airplanes": "airplanes"}
+DEFAULT = (*REAL, *GENERATED)
 EXEMPLARS = 3
 PEER_POINTS = 1000
 RADII, LARGEST_RADIUS = (0.02, 0.05, 0.10), 0.25
@@ -280,6 +284,8 @@ def run(sets: list[str], methods: list[str], seeds: int, count: int, n_points: i
                     folder = DATA / REAL[name] if name in REAL else Path(made)
                     if name in GENERATED:
                         write_family(folder, GENERATED[name], count, seed=seed)
+                    elif name in ORGANIC:
+                        write_organic(folder, name, count, seed=seed)
                     family = read_family(folder, count, n_points, seed)
                 for method in methods:
                     begin = time.process_time()
@@ -307,7 +313,7 @@ def differences(found: dict[str, dict[str, list[float]]]) -> list[list[str]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--sets", nargs="+", choices=[*REAL, *GENERATED], default=[*REAL, *GENERATED])
+    parser.add_argument("--sets", nargs="+", choices=[*DEFAULT, *ORGANIC], default=DEFAULT)
     parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(METHODS))
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--points", type=int, default=2000)

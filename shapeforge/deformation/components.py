@@ -40,10 +40,10 @@ def switch_off_spare(
 ) -> tuple[Beliefs, Candidates, Correspondence]:
     """Mark the components that the shape most likely does not have as spare, one by one, the least likely first.
 
-    A component goes when its log odds are low (hardly a point of the surface its own, say) and a copy of it is there
-    for sure: one that merely looks different, as its copies then do, is not missing.  Left and right go together.  So
-    something of every part stays; whether the part exists is another question (see ``existence``).  After each one that
-    goes the beliefs settle anew.
+    A component goes when its log odds are low and a copy of it is there for sure: one that merely looks different, as
+    its copies then do, is not missing; and left and right go together.  One that hardly a point of the surface belongs
+    to goes whenever another component of its part is there for sure.  So something of every part stays; whether the
+    part exists is another question (see ``existence``).  After each one that goes the beliefs settle anew.
     """
     known = templates.components
     if np.sqrt(unary.mean()) > SHARPNESS or not len(known.part):
@@ -107,8 +107,12 @@ def count_parts(shape: Shape, top: PartTemplates, exists: Bool[np.ndarray, " K"]
 
 def least_likely(known: Components, odds: Float[np.ndarray, " C"]) -> int | None:
     """The component that is likeliest not to be there, if any is to go by its odds (C,); NaN: not asked."""
-    copied = (known.alike & (odds > 0.0)).any(axis=1)  # NaN is not
+    sure = odds > 0.0  # NaN is not
+    copied = (known.alike & sure).any(axis=1)
     spare = copied & (odds < DOUBT) & ~(odds[known.twin] >= DOUBT)
+    # one that corresponds to hardly anything is not there, whatever else the part has: the second handle of a jug
+    beside = np.isin(known.part, known.part[sure])
+    spare |= beside & np.isneginf(odds)
     return int(np.where(spare, odds, np.inf).argmin()) if spare.any() else None
 
 

@@ -248,13 +248,14 @@ def test_what_is_spare():
         ([low, 3.0, 2.0, 1.0], 0),
         ([-1.9, 3.0, 2.0, 1.0], None),  # in doubt it stays
         ([low, -0.1, 2.0, 1.0], None),  # its copy is not sure either: the part looks different
-        ([3.0, 3.0, gone, 1.0], None),  # unlike the others, it may be there in another form
+        ([3.0, 3.0, low, 1.0], None),  # unlike the others, it may be there in another form
+        ([3.0, 3.0, gone, 1.0], 2),  # nothing corresponds to it, in whatever form
         ([gone, 3.0, 2.0, 1.0], 0),
         ([low, -6.0, 2.0, 1.0], None),
         ([gone, gone, gone, 3.0], None),  # one of the part must be there
-        ([low, 3.0, gone, 1.0], 0),
+        ([low, 3.0, gone, 1.0], 2),
         ([np.nan, 3.0, np.nan, low], None),
-        ([low, 3.0, np.nan, gone], 0),
+        ([low, 3.0, np.nan, gone], 0),  # the other part is asked about by itself
     ):
         assert least_likely(known, np.array(odds)) == wanted, odds
 
@@ -268,6 +269,7 @@ def test_left_and_right_go_together():
         ([np.nan, -3.0, 2.0, 2.0], 1),  # the other one has gone before
         ([-4.0, 1.0, 2.0, 2.0], None),
         ([-4.0, 1.0, -3.0, -2.5], 2),
+        ([-np.inf, 1.0, 2.0, 2.0], 0),  # a jug with one of two handles
     ):
         assert least_likely(known, np.array(odds)) == wanted, odds
 
