@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from shapeforge.generative.inference import Latents, decode, descend, infer, logit, sigmoid
+from shapeforge.generative.inference import Latents, decode, infer, logit, sigmoid
 from shapeforge.generative.machine import BetaShapeMachine
 from shapeforge.generative.observations import Observations
 
@@ -169,9 +169,3 @@ def _variation(mixture: Mixture, which: np.ndarray, rng: np.random.Generator) ->
         others = rng.standard_normal((rows.sum(), len(moved))) @ everybody / np.sqrt(free)
         noise[rows] = np.sqrt(trust) * alike + np.sqrt(1 - trust) * others
     return noise
-
-
-def shape_of_top(machine: BetaShapeMachine, top: Float[np.ndarray, "n O"], exists: Bool[np.ndarray, "n L"]) -> Draw:
-    """The shapes of given values of the top layer (n, O), binary or probabilities, with these parts."""
-    latents = Latents(descend(machine, top), exists)
-    return Draw(machine.to_positions(decode(machine, latents), exists), exists, latents)
