@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -80,12 +81,14 @@ def refine(task: Task) -> Iterator[Progress]:
         number, kept, errors, state, machine, positions = (
             saved[key] for key in ("number", "kept", "errors", "state", "machine", "positions")
         )
+        spread = machine.spread
         yield task.progress("alternate", number, of, f"goes on after alternation {number}", state=state)
     else:
         state, positions = project.fit(), stacked_positions(project, names)
         for progress in learnt(positions, None, f"{len(judges)} shapes set aside"):
             yield progress
         machine = progress.state.machine
+        spread = machine.spread
         save()
     while number < of and kept == number:
         refined, rounds = state, state.round + ROUNDS_PER_ALTERNATION
@@ -115,6 +118,8 @@ def refine(task: Task) -> Iterator[Progress]:
         machine = before.state.machine
         if not is_worse(as_was, as_is):
             kept, state, positions, machine = number, refined, moved, after.state.machine
+        # Points that a prior has moved agree with it: only as they were before do they tell how far to trust it.
+        machine = replace(machine, spread=spread)
         save()
         yield task.progress("alternate", number, of, verdict(errors, kept), state=state)
     if kept:
