@@ -353,8 +353,9 @@ def test_the_prior_reaches_the_template_points_it_is_about() -> None:
 
 
 def errors_one_by_one(monkeypatch: pytest.MonkeyPatch, errors: list[float]) -> None:
-    """What the shapes set aside say: as it was, refined, as it was, refined, …"""
+    """What the shapes set aside say: as it was, refined, as it was, refined, …; the templates always lie better."""
     said = iter(errors)
+    monkeypatch.setattr("shapeforge.generative.joint.mostly_falls", lambda before, after: True)
     monkeypatch.setattr(
         "shapeforge.generative.joint.held_out_errors", lambda machine, positions, _: np.full(len(positions), next(said))
     )
@@ -401,6 +402,19 @@ def test_an_alternation_that_was_refused_is_undone_and_the_one_before_it_stays(
     errors_one_by_one(monkeypatch, [0.02, 0.01, 0.01, 0.03])
     last(run(twice, "refine", alternations=3))
     assert twice.stage_record("refine")["summary"]["kept"] == 1 and contents(twice) == contents(once)
+
+
+@pytest.mark.slow
+def test_refine_keeps_what_was_when_templates_come_to_lie_worse(
+    done: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = copy_of(done, tmp_path / "p")
+    before = contents(project)
+    errors_one_by_one(monkeypatch, [])
+    monkeypatch.setattr("shapeforge.generative.joint.mostly_falls", lambda before, after: False)
+    final = last(run(project, "refine", alternations=3))
+    assert "templates lie worse" in final.message and "alternation 1 made it worse" in final.message
+    assert project.stage_record("refine")["summary"]["kept"] == 0 and contents(project) == before
 
 
 @pytest.mark.slow

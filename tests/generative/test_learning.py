@@ -11,7 +11,7 @@ from shapeforge.generative.baselines import draw_from_components, fit_principal_
 from shapeforge.generative.descriptors import describe_shapes
 from shapeforge.generative.draw import _spread_choice, draw, fit_mixture
 from shapeforge.generative.inference import decode, infer
-from shapeforge.generative.joint import family_prior, held_out_errors, is_worse, shape_prior
+from shapeforge.generative.joint import family_prior, held_out_errors, is_worse, mostly_falls, shape_prior
 from shapeforge.generative.learning import learn_machine, reconstruction_error, split, vary
 from shapeforge.generative.machine import PARAMETERS, layer_sizes
 from shapeforge.generative.observations import observe
@@ -240,6 +240,15 @@ def test_shapes_set_aside_are_judged_by_their_surfaces(family, learned):
     assert wrong[0] > 1.5 * errors[0] and np.array_equal(wrong[1:], errors[1:])
     assert is_worse(errors, errors + 1e-4) and not is_worse(errors, errors) and not is_worse(errors, errors - 1e-4)
     assert not is_worse(np.zeros(4), np.array([1.0, -1.1, 1.0, -0.8])), "as good as chance"
+
+
+def test_a_few_shapes_that_change_much_do_not_decide():
+    before = np.ones(20)
+    after = np.where(np.arange(20) < 3, 9.0, 0.99)
+    assert mostly_falls(before, after), "three rise by much, all others fall a little"
+    after = np.where(np.arange(20) < 9, 1.01, 0.1)
+    assert not mostly_falls(before, after), "nine of twenty rise: as good as chance"
+    assert not mostly_falls(before, before + 0.01) and mostly_falls(before, before)
 
 
 def test_variations_stay_in_the_family_and_leave_lone_shapes_alone(family):
