@@ -2,7 +2,7 @@
 
     python -m benchmarks.machine_quality [--families chairs airplanes] [--count 200] [--held-out 60] [--points 1500]
                                          [--sources NAME ...] [--seeds 3] [--seed 0] [--json]
-    python -m benchmarks.machine_quality --families real --data ../shared/data --project FOLDER --count 80 --held-out 34
+    python -m benchmarks.machine_quality --families real --data DATA --project FOLDER --count 80 --held-out 34
 
 A generated family has its true correspondences, so that only the machine is judged; ``real`` are the chairs of two
 catalogues as a fit in the project FOLDER finds them (see ``machine_families``).  A seed draws the family and the split;

@@ -2,7 +2,7 @@
 
     python -m benchmarks.refinement [--families chairs airplanes] [--seeds 3] [--seed 0] [--shapes 24] [--points 1200]
                                     [--alternations 3] [--json]
-    python -m benchmarks.refinement --families ikea --data ../shared/data
+    python -m benchmarks.refinement --families ikea --data DATA
 
 A project is made of each family (its groups' exemplars painted by the truth), fitted, learned and refined.  For the
 generated families corr@r is against the dense truth: every corresponding point of a shape is carried by the truth to
