@@ -53,13 +53,15 @@ NOISE = 0.004
 
 @dataclass(frozen=True, eq=False)
 class TrueFamily:
-    """Shapes of a generated family, their labels, and true corresponding points (T, K, 3), NaN where absent."""
+    """Shapes of a generated family, their labels and classes, and true corresponding points (T, K, 3), NaN where
+    absent."""
 
     shapes: tuple[Shape, ...]
     faces: tuple[np.ndarray, ...]
     positions: np.ndarray
     part: np.ndarray
     part_names: tuple[str, ...]
+    classes: tuple[str, ...]
 
     def sources(self, chosen: np.ndarray) -> Sources:
         """Sources of the chosen shapes."""
@@ -110,8 +112,9 @@ def true_family(family: str, count: int, *, seed: int, n_points: int = 1500) -> 
         positions.append(found)
         part += [int(made[model].faces[mesh.face_of_triangle[triangles[0]]])] * n
     return TrueFamily(
-        shapes, tuple(g.faces for g in made), np.concatenate(positions, axis=1), np.array(part), made[0].part_names
-    )
+        shapes, tuple(g.faces for g in made), np.concatenate(positions, axis=1), np.array(part), made[0].part_names,
+        tuple(g.fine_class for g in made),
+    )  # fmt: skip
 
 
 def _weights(mesh: Mesh, points: np.ndarray, triangle: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,12 @@ from shapeforge.store import Project
 from shapeforge.store_arrays import read_record, write_record
 from shapeforge.store_results import write_names
 
-ROUNDS_PER_ALTERNATION = 2
-"""Outer rounds of the fit under the machine's prior in each alternation."""
+ROUNDS_PER_ALTERNATION = 1
+"""Outer rounds of the fit under the machine's prior in each alternation.  Rounds beyond the fit's own let points slide,
+whatever the prior, and what each gains it gains at once (docs/machine.md)."""
+
+PRIOR_STRENGTH = 0.4
+"""Share of its own precision with which the machine counts: it learned from the very points that it speaks of."""
 
 SET_ASIDE = 0.2
 """Share of the shapes that judge the alternations: no machine learns from them."""
@@ -36,15 +41,16 @@ LEAST_SHAPES = 4
 def refine(task: Task) -> Iterator[Progress]:
     """Joint analysis and synthesis: the machine is a prior on the fit, the refined fit teaches the machine, 3 times.
 
-    Some shapes are set aside to judge.  An alternation counts only if a machine that learns from the refined shapes
-    comes as near to the surfaces of these as one that learns as long from the shapes as they were before it; otherwise
-    the correspondences stay as they were, and it was the last.
+    An alternation is undone, and was the last, if either of two judges refuses it, of which neither asks the machine
+    that moved the points.  The templates must come to explain the surfaces of most shapes better; and some shapes are
+    set aside, to whose surfaces a machine that learns from the refined shapes must come as near as one that learns as
+    long from the shapes as they were.
     """
-    from shapeforge.deformation.exemplars import blend
+    from shapeforge.deformation.exemplars import blend, leading
     from shapeforge.deformation.family import ROUNDS as FAMILY_ROUNDS
     from shapeforge.deformation.fit import fit_templates
     from shapeforge.deformation.hierarchy import corresponding_points
-    from shapeforge.generative.joint import held_out_errors, is_worse
+    from shapeforge.generative.joint import held_out_errors, is_worse, mostly_falls
     from shapeforge.generative.learning import learn_machine
     from shapeforge.generative.observations import observe
 
@@ -56,6 +62,7 @@ def refine(task: Task) -> Iterator[Progress]:
     checkpoint = folder / "alternation.zarr.zip"
     number, of, kept = 0, int(task.options["alternations"]), 0
     errors: list[list[float]] = []
+    refused = ""
 
     def learnt(positions: np.ndarray, start: Any, what: str) -> Iterator[Progress]:
         """Learning without the judges; the state of the last progress is its last one."""
@@ -67,14 +74,17 @@ def refine(task: Task) -> Iterator[Progress]:
     def surfaces(state: Any) -> list[np.ndarray]:
         return [blend(state.candidates[t]).to_family(project.shapes[t].points) for t in judges.tolist()]
 
+    def misfits(state: Any) -> np.ndarray:
+        return np.array([leading(candidates).misfit for candidates in state.candidates])
+
     def save() -> None:
-        saved = {"number": number, "kept": kept, "errors": errors, "state": state, "machine": machine}
-        write_record(checkpoint, saved | {"positions": positions})
+        saved = {"number": number, "kept": kept, "errors": errors, "refused": refused, "state": state}
+        write_record(checkpoint, saved | {"machine": machine, "positions": positions})
 
     if checkpoint.is_file():
         saved = read_record(checkpoint)[0]
-        number, kept, errors, state, machine, positions = (
-            saved[key] for key in ("number", "kept", "errors", "state", "machine", "positions")
+        number, kept, errors, refused, state, machine, positions = (
+            saved[key] for key in ("number", "kept", "errors", "refused", "state", "machine", "positions")
         )
         yield task.progress("alternate", number, of, f"goes on after alternation {number}", state=state)
     else:
@@ -94,25 +104,34 @@ def refine(task: Task) -> Iterator[Progress]:
         for refined in states:
             text = f"alternation {number + 1}, {round_text(refined)}"
             yield task.progress("alternate", number, of, text, state=refined)
+        before, after = misfits(state), misfits(refined)
+        if not mostly_falls(before, after):
+            number += 1
+            refused = f"templates lie worse on {(after > before).sum()} of {len(names)} shapes"
+            save()
+            break
 
         def corresponding(t: int, state: Any = refined) -> np.ndarray:
             beliefs = blend(state.candidates[t])
             return beliefs.to_family(corresponding_points(project.shapes[t], beliefs, hierarchy)[0])
 
         moved = np.stack(list(task.workers.map(corresponding, range(len(names)))))
-        for before in learnt(positions, machine, f"alternation {number + 1}, as it was"):
-            yield before
-        for after in learnt(moved, machine, f"alternation {number + 1}, refined"):
-            yield after
-        as_was = held_out_errors(before.state.machine, positions[judges], surfaces(state))
-        as_is = held_out_errors(after.state.machine, moved[judges], surfaces(refined))
-        errors.append([float(as_was.mean()), float(as_is.mean())])
+        for as_was in learnt(positions, machine, f"alternation {number + 1}, as it was"):
+            yield as_was
+        for as_is in learnt(moved, machine, f"alternation {number + 1}, refined"):
+            yield as_is
+        before = held_out_errors(as_was.state.machine, positions[judges], surfaces(state))
+        after = held_out_errors(as_is.state.machine, moved[judges], surfaces(refined))
+        errors.append([float(before.mean()), float(after.mean())])
         number += 1
-        machine = before.state.machine
-        if not is_worse(as_was, as_is):
-            kept, state, positions, machine = number, refined, moved, after.state.machine
+        if is_worse(before, after):
+            refused = f"shapes set aside are missed by {percent(errors[-1])} of their size"
+        else:
+            # Points that a prior has moved agree with it: only as they were do they tell how far to trust it.
+            machine = replace(as_is.state.machine, spread=machine.spread)
+            kept, state, positions = number, refined, moved
         save()
-        yield task.progress("alternate", number, of, verdict(errors, kept), state=state)
+        yield task.progress("alternate", number, of, verdict(errors, kept, refused), state=state)
     if kept:
         for progress in learn_into(task, folder, names, positions, epochs=None, start=machine):
             yield task.progress("alternate", number - 1, of, progress.message)
@@ -121,21 +140,27 @@ def refine(task: Task) -> Iterator[Progress]:
         write_record(folder / "fit.zarr.zip", state)
     else:
         _keep_former(project, folder)
-    text = verdict(errors, kept)
+    text = verdict(errors, kept, refused)
     task.summary |= {"text": text, "alternations": of, "kept": kept, "held_out_errors": errors, "judges": len(judges)}
     task.origin = {"of": _result(project, "fit"), "from": _result(project, "learn")}
     checkpoint.unlink(missing_ok=True)
     yield task.progress("faces", len(names), len(names), text, state=state)
 
 
-def verdict(errors: Sequence[Sequence[float]], kept: int) -> str:
-    """What the shapes set aside say, in words; ``errors`` are [as it was, refined] of every alternation tried."""
-    said = [f"{100 * a:.3f}% to {100 * b:.3f}%" for a, b in errors]
-    text = f"{kept} alternations, shapes set aside missed by {', '.join(said[:kept])}" if kept else "nothing is refined"
-    if kept < len(errors):
-        text += f"; alternation {len(errors)} made it worse for shapes set aside ({said[-1]} of their size): "
-        text += "the correspondences stay as they were before it"
+def verdict(errors: Sequence[Sequence[float]], kept: int, refused: str) -> str:
+    """What became of the alternations, in words; ``errors`` are [as it was, refined] of those that the shapes set aside
+    judged, ``refused`` is why one was undone ("": none was)."""
+    text = "nothing is refined"
+    if kept:
+        text = f"{kept} alternations, shapes set aside missed by {', '.join(map(percent, errors[:kept]))}"
+    if refused:
+        text += f"; alternation {kept + 1} made it worse ({refused}): the correspondences stay as they were before it"
     return text
+
+
+def percent(change: Sequence[float]) -> str:
+    """Two lengths in diagonals, in % of the size."""
+    return " to ".join(f"{100 * length:.3f}%" for length in change)
 
 
 def judging_shapes(project: Project, names: Sequence[str], *, rng: np.random.Generator) -> np.ndarray:
@@ -176,7 +201,7 @@ def machine_prior(
     def prior(t: int, g: int) -> tuple[np.ndarray, np.ndarray]:
         if t not in found:
             found.clear()  # asked shape by shape: the one at hand is enough
-            found[t] = shape_prior(machine, positions[t])
+            found[t] = shape_prior(machine, positions[t], PRIOR_STRENGTH)
         return on_template(*found[t], hierarchy.links[g], templates[g].n_points)
 
     return prior

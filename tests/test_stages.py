@@ -24,11 +24,12 @@ from shapeforge.deformation.hierarchy import Link
 from shapeforge.deformation.warm import WARM_ROUNDS
 from shapeforge.generative.draw import draw
 from shapeforge.generative.inference import decode
+from shapeforge.generative.machine import BetaShapeMachine
 from shapeforge.stages import Progress, StageError, next_step, run, status
 from shapeforge.stages_collection import edits_of, merged_part_names
 from shapeforge.stages_draws import drawn_as_asked, latents_of
 from shapeforge.stages_model import curve, named_split, starting_groups, starting_parts
-from shapeforge.stages_refine import judging_shapes, on_template
+from shapeforge.stages_refine import judging_shapes, machine_prior, on_template
 from shapeforge.stages_status import corrections
 from shapeforge.store import PartNames, Project
 from shapeforge.workers import Workers
@@ -361,8 +362,9 @@ def test_the_prior_reaches_the_template_points_it_is_about() -> None:
 
 
 def errors_one_by_one(monkeypatch: pytest.MonkeyPatch, errors: list[float]) -> None:
-    """What the shapes set aside say: as it was, refined, as it was, refined, …"""
+    """What the shapes set aside say: as it was, refined, as it was, refined, …; the templates always lie better."""
     said = iter(errors)
+    monkeypatch.setattr("shapeforge.generative.joint.mostly_falls", lambda before, after: True)
     monkeypatch.setattr(
         "shapeforge.generative.joint.held_out_errors", lambda machine, positions, _: np.full(len(positions), next(said))
     )
@@ -376,7 +378,7 @@ def test_refine_replaces_fit_and_machine(done: Project, tmp_path: Path, monkeypa
     last(run(project, "refine", alternations=1))
     assert states(project)["refine"] == "done" and states(project)["synthesize"] == "stale"
     assert project.fit_stage == project.machine_stage == "refine"
-    assert contents(project) != before and project.fit().round == 5
+    assert contents(project) != before and project.fit().round == 4
     assert not np.array_equal(project.machine().couplings[0], machine.couplings[0])
     last(run(project, "fit", rounds=1))
     assert project.fit_stage == "fit" and states(project)["refine"] == "stale"
@@ -409,6 +411,36 @@ def test_an_alternation_that_was_refused_is_undone_and_the_one_before_it_stays(
     errors_one_by_one(monkeypatch, [0.02, 0.01, 0.01, 0.03])
     last(run(twice, "refine", alternations=3))
     assert twice.stage_record("refine")["summary"]["kept"] == 1 and contents(twice) == contents(once)
+
+
+@pytest.mark.slow
+def test_refine_keeps_what_was_when_templates_come_to_lie_worse(
+    done: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = copy_of(done, tmp_path / "p")
+    before = contents(project)
+    errors_one_by_one(monkeypatch, [])
+    monkeypatch.setattr("shapeforge.generative.joint.mostly_falls", lambda before, after: False)
+    final = last(run(project, "refine", alternations=3))
+    assert "templates lie worse" in final.message and "alternation 1 made it worse" in final.message
+    assert project.stage_record("refine")["summary"]["kept"] == 0 and contents(project) == before
+
+
+@pytest.mark.slow
+def test_how_far_the_machine_is_trusted_is_not_measured_on_points_that_it_moved(
+    done: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project, spreads = copy_of(done, tmp_path / "p"), []
+
+    def noted(machine: BetaShapeMachine, *others: object) -> object:
+        spreads.append(machine.spread)
+        return machine_prior(machine, *others)
+
+    monkeypatch.setattr("shapeforge.stages_refine.machine_prior", noted)
+    errors_one_by_one(monkeypatch, [0.02, 0.01, 0.01, 0.005])
+    last(run(project, "refine", alternations=2))
+    assert len(spreads) == 2
+    np.testing.assert_array_equal(spreads[1], spreads[0])
 
 
 def test_the_shapes_that_judge_are_no_exemplars_unless_named(done: Project, tmp_path: Path) -> None:

@@ -2,22 +2,30 @@
 
 Independent units, or Gibbs sampling between H2 and H3, draw clumps; so does a mixture of Bernoullis over the top alone,
 and what the top leaves unexplained is then missing from every draw.  Here a draw starts from the logits of all layers
-of one shape and goes part of the way towards a random combination of the shapes with the same parts.
+of one shape and goes part of the way towards a random combination of the shapes with the same parts: as far as makes
+draws differ from the family's shapes as much as these do from each other.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial.distance import cdist
 
-from shapeforge.generative.inference import Latents, decode, descend, infer, logit, sigmoid
+from shapeforge.generative.inference import Latents, decode, infer, logit, sigmoid
 from shapeforge.generative.machine import BetaShapeMachine
 from shapeforge.generative.observations import Observations
 
 WIDTH = 0.5
-"""Standard deviation of a kernel, as a share of that of the shapes with the same parts."""
+"""Standard deviation of a kernel, as a share of that of the shapes with the same parts, where no two shapes are there
+to tell (see ``fit_mixture``)."""
+
+WIDTHS = (0.05, 1.0)
+WIDTH_STEPS = 6
+TRIED, COMPARED = 200, 400
+"""Draws by which the width is found, and points of each that are compared."""
 
 LARGEST_LOGIT = 8.0
 FEW = 4.0
@@ -27,21 +35,14 @@ FEW = 4.0
 @dataclass(frozen=True, eq=False)
 class Mixture:
     """One kernel for each of T shapes: ``codes`` (T, A) are the logits of all layers side by side, ``sizes`` the number
-    of units of each; ``patterns`` (S, L) are the combinations of parts seen, ``which`` (T,) that of every shape."""
+    of units of each; ``patterns`` (S, L) are the combinations of parts seen, ``which`` (T,) that of every shape.
+    ``width`` is the standard deviation of a kernel, as a share of that of the shapes with the same parts."""
 
     codes: Float[np.ndarray, "T A"]
     sizes: Int[np.ndarray, " l"]
     patterns: Bool[np.ndarray, "S L"]
     which: Int[np.ndarray, " T"]
-
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """Everything as named arrays."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Mixture:
-        """The inverse of ``to_arrays``."""
-        return cls(**{field.name: arrays[field.name] for field in fields(cls)})
+    width: float = WIDTH
 
     def layers(self, codes: Float[np.ndarray, "n A"]) -> tuple[Float[np.ndarray, "n _"], ...]:
         """Probabilities of the units of every layer from rows of codes."""
@@ -58,11 +59,48 @@ class Draw:
 
 
 def fit_mixture(machine: BetaShapeMachine, observations: Observations) -> Mixture:
-    """The kernels of a family: what the machine takes each of its shapes to be."""
+    """The kernels of a family: what the machine takes each of its shapes to be.
+
+    They are as wide as makes draws as new as a new shape would be: on average a draw is as far from the nearest shape
+    with the same parts as these are from the nearest other one (root mean square over corresponding points).
+    """
     latents = infer(machine, observations.values, observations.exists)
     codes = _kept(np.concatenate([logit(layer) for layer in latents.layers], axis=1))
     patterns, which = np.unique(observations.exists, axis=0, return_inverse=True)
-    return Mixture(codes.astype(np.float32), np.array(machine.sizes), patterns, which.reshape(-1))
+    mixture = Mixture(codes.astype(np.float32), np.array(machine.sizes), patterns, which.reshape(-1))
+    return replace(mixture, width=_fitting_width(machine, mixture, observations))
+
+
+def _fitting_width(machine: BetaShapeMachine, mixture: Mixture, observations: Observations) -> float:
+    """The width by bisection; always with the same noise, so that it is a function of the family."""
+    with_others = np.flatnonzero(np.bincount(mixture.which)[mixture.which] > 1)
+    if not len(with_others):
+        return WIDTH
+    rng = np.random.default_rng(0)
+    start = rng.choice(with_others, TRIED)
+    which = mixture.which[start]
+    noise, middle = _variation(mixture, which, rng), _means(mixture)[which]
+    points = np.unique(np.linspace(0, machine.n_points - 1, COMPARED).astype(int))
+    known, there = observations.values[:, points], mixture.patterns[:, machine.part[points]]
+
+    def away(rows: np.ndarray, rank: int) -> float:
+        """Mean distance (root mean square) of ``rows`` to the nearest shapes with the same parts, bar ``rank``."""
+        found = []
+        for index in np.unique(which):
+            own, others = (
+                one[:, there[index]].reshape(len(one), -1)
+                for one in (rows[which == index], known[mixture.which == index])
+            )
+            found.append(np.partition(cdist(own, others), rank, axis=1)[:, rank] / np.sqrt(max(own.shape[1], 1)))
+        return float(np.concatenate(found).mean())
+
+    usual, (low, high) = away(known[start], 1), WIDTHS
+    for _ in range(WIDTH_STEPS):
+        width = (low + high) / 2
+        codes = _kernel(mixture.codes[start], middle, noise, width).astype(machine.dtype)
+        drawn = decode(machine, Latents(mixture.layers(codes), mixture.patterns[which]))
+        low, high = (width, high) if away(drawn[:, points], 0) < usual else (low, width)
+    return (low + high) / 2
 
 
 def draw(
@@ -110,22 +148,32 @@ def draw_codes(
     else:
         lacking = (~of_shape[:, on]).sum(axis=1) + of_shape[:, off].sum(axis=1)
     weight = np.where(lacking == lacking.min(), 0.0 if prefer is None else prefer, -np.inf)
-    chosen = _spread_choice(np.exp(weight - weight.max()), n, rng)
+    chosen = _spread_choice(np.exp(weight - weight.max()), n, rng, mixture.which)
     states = of_shape[chosen] if exists is None else np.broadcast_to(exists, (n, len(exists))).copy()
     states[:, on], states[:, off] = True, False
     which = mixture.which[chosen]
     middle = _means(mixture)[which]
-    away = np.sqrt(1 - WIDTH**2) * (mixture.codes[chosen] - middle) + WIDTH * _variation(mixture, which, rng)
-    return _kept(middle + temperature * away), states
+    noise = _variation(mixture, which, rng)
+    return _kernel(mixture.codes[chosen], middle, noise, mixture.width, temperature), states
 
 
-def _spread_choice(weight: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
+def _spread_choice(weight: np.ndarray, n: int, rng: np.random.Generator, kind: np.ndarray | None = None) -> np.ndarray:
     """n indices, each drawn in proportion to its weight, together as evenly as n allows (systematic sampling): draws
-    made at once start from different shapes as long as there are enough."""
+    made at once start from different shapes as long as there are enough, and every ``kind`` of them gets its share."""
     order = rng.permutation(len(weight))
+    if kind is not None:
+        order = order[np.argsort(kind[order], kind="stable")]
     upto = np.cumsum(weight[order])
     chosen = np.searchsorted(upto, (np.arange(n) + rng.random()) * (upto[-1] / n), side="right")
     return rng.permutation(order[np.minimum(chosen, len(order) - 1)])
+
+
+def _kernel(
+    codes: np.ndarray, middle: np.ndarray, noise: np.ndarray, width: float, temperature: float = 1.0
+) -> np.ndarray:
+    """Codes moved by ``noise``, and towards the ``middle`` of their kind so that these vary no more than before."""
+    away = np.sqrt(1 - width**2) * (codes - middle) + width * noise
+    return _kept(middle + temperature * away)
 
 
 def codes_near(
@@ -135,7 +183,7 @@ def codes_near(
     _check(temperature)
     own = _kept(np.concatenate([logit(layer[:1]) for layer in start.layers], axis=1))
     alike = int((mixture.patterns != start.exists[:1]).sum(axis=1).argmin())
-    return _kept(own + temperature * WIDTH * _variation(mixture, np.full(n, alike), rng))
+    return _kept(own + temperature * mixture.width * _variation(mixture, np.full(n, alike), rng))
 
 
 def _check(temperature: float) -> None:
@@ -169,9 +217,3 @@ def _variation(mixture: Mixture, which: np.ndarray, rng: np.random.Generator) ->
         others = rng.standard_normal((rows.sum(), len(moved))) @ everybody / np.sqrt(free)
         noise[rows] = np.sqrt(trust) * alike + np.sqrt(1 - trust) * others
     return noise
-
-
-def shape_of_top(machine: BetaShapeMachine, top: Float[np.ndarray, "n O"], exists: Bool[np.ndarray, "n L"]) -> Draw:
-    """The shapes of given values of the top layer (n, O), binary or probabilities, with these parts."""
-    latents = Latents(descend(machine, top), exists)
-    return Draw(machine.to_positions(decode(machine, latents), exists), exists, latents)

@@ -152,10 +152,10 @@ def held(machine: BetaShapeMachine, layers: tuple[np.ndarray, ...], clamped: Cla
         for index in reversed(range(last)):
             moved[index] = settle(machine, index, machine.biases[index], moved)
             hold(index)
-    held = [m + centre for m, centre in zip(moved, machine.centres, strict=True)]
+    after = [m + centre for m, centre in zip(moved, machine.centres, strict=True)]
     free = descend(machine, layers[-1])
-    found = [sigmoid(logit(own) + logit(h) - logit(f)) for own, h, f in zip(layers[:-1], held, free, strict=False)]
-    found.append(held[-1])
+    found = [sigmoid(logit(own) + logit(h) - logit(f)) for own, h, f in zip(layers[:-1], after, free, strict=False)]
+    found.append(after[-1])
     for (layer, unit), value in clamped.items():
         found[layer][:, unit] = value
     return tuple(found)
@@ -169,13 +169,13 @@ def _met(
     target = to_values(points[known], machine.low, machine.high).reshape(-1)
     sd = tolerance / machine.diagonals_per_unit
     first, exists = logit(latents.first).astype(float), latents.exists
-    held = [unit for layer, unit in clamped if layer == 0]
+    fixed = [unit for layer, unit in clamped if layer == 0]
     for _ in range(ROUNDS):
         seen = expected_values(machine, sigmoid(first).astype(machine.dtype))[:, known].reshape(len(first), -1)
         seen = seen.astype(float)
         wanted = target + np.sqrt(ROUNDS) * sd * rng.standard_normal(seen.shape)
         vary, move = seen - seen.mean(axis=0), first - first.mean(axis=0)
-        move[:, held] = 0
+        move[:, fixed] = 0
         noise = (len(first) - 1) * ROUNDS * sd**2
         gain = np.linalg.solve(vary @ vary.T + noise * np.eye(len(first)), move)
         first = first + (wanted - seen) @ vary.T @ gain

@@ -78,3 +78,10 @@ def is_worse(before: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"]) ->
     """Whether errors of the same shapes rose by more than the standard error of their mean rise: less is chance."""
     rise = after - before
     return bool(rise.mean() > rise.std() / np.sqrt(max(len(rise) - 1, 1)))
+
+
+def mostly_falls(before: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"]) -> bool:
+    """Whether more shapes' errors fall than rise, by more than the standard deviation of the number that would rise if
+    either were as likely: a few shapes that change much don't decide."""
+    n = len(before)
+    return bool((after > before).sum() <= (n - np.sqrt(n)) / 2)

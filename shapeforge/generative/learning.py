@@ -45,7 +45,6 @@ class LearnState:
     machine: BetaShapeMachine
     train_error: float
     held_out_error: float
-    first_error: float
     dead_units: tuple[float, ...]
     stop_reason: str | None
 
@@ -100,7 +99,7 @@ def learn_machine(
         total += machine.n_layers * n_first
         for phase, machine, error in _pretrain(machine, train, rng, n_first, run):  # noqa: B020
             done += 1
-            yield LearnState(done, total, phase, machine, error, np.nan, error, (np.nan,) * machine.n_layers, None)
+            yield LearnState(done, total, phase, machine, error, np.nan, (np.nan,) * machine.n_layers, None)
 
     tuner = _Tuner.start(machine, train, strengths, n_epochs * steps)
     best, waited, every = None, 0, max(1, round(25 / steps))
@@ -320,13 +319,11 @@ def _measure(
     # The same draws at every check, so that checks can be compared.
     again, latents = sampled_reconstruction(machine, some, rng=np.random.default_rng(0))
     train_error, held_error = reconstruction_error(machine, some, again), float("nan")
-    judged, judged_latents = some, latents
     if held_out is not None:
-        again, judged_latents = sampled_reconstruction(machine, held_out, rng=np.random.default_rng(0))
-        held_error, judged = reconstruction_error(machine, held_out, again), held_out
-    first = reconstruction_error(machine, judged, decode(machine, judged_latents))
+        again, _ = sampled_reconstruction(machine, held_out, rng=np.random.default_rng(0))
+        held_error = reconstruction_error(machine, held_out, again)
     return LearnState(
-        epoch, of, "fine-tune", machine.copy(), train_error, held_error, first, dead_units(machine, latents), None
+        epoch, of, "fine-tune", machine.copy(), train_error, held_error, dead_units(machine, latents), None
     )
 
 

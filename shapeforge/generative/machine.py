@@ -14,7 +14,7 @@ their existence.  ``to_paper`` and ``from_paper`` (in
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -122,44 +122,6 @@ class BetaShapeMachine:
     def copy(self) -> BetaShapeMachine:
         """A machine that shares no parameter array with this one."""
         return replace(self, **{name: _map(getattr(self, name), np.copy) for name in PARAMETERS})
-
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """Everything as named numeric arrays (no objects, no strings), for any array store."""
-        arrays: dict[str, np.ndarray] = {}
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name == "part_names":
-                arrays[field.name] = np.frombuffer("\n".join(value).encode(), dtype=np.uint8).copy()
-            elif field.name == "structure":
-                arrays.update({f"structure.{inner.name}": getattr(value, inner.name) for inner in fields(value)})
-            elif isinstance(value, tuple):
-                arrays.update({f"{field.name}.{index}": item for index, item in enumerate(value)})
-            else:
-                arrays[field.name] = value
-        return arrays
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> BetaShapeMachine:
-        """The inverse of ``to_arrays``.  Raises ValueError naming an array that is missing."""
-        wanted = {field.name for field in fields(cls)} - {"structure", *PER_PART, *PER_LAYER}
-        needed = wanted | {f"{name}.0" for name in (*PER_PART, "biases", "centres")}
-        missing = sorted(needed - set(arrays))
-        if missing:
-            raise ValueError(
-                f"arrays: wanted {missing[0]!r} among them, got {sorted(arrays)[:5]}...; "
-                "usually the folder holds another kind of model, or one written by another version"
-            )
-        values: dict = {name: arrays[name] for name in wanted}
-        values["part_names"] = tuple(bytes(arrays["part_names"]).decode().split("\n"))
-        for name in PER_PART:
-            values[name] = tuple(arrays[f"{name}.{index}"] for index in range(len(values["part_names"])))
-        for name in PER_LAYER:
-            count = sum(key.startswith(f"{name}.") for key in arrays)
-            values[name] = tuple(arrays[f"{name}.{index}"] for index in range(count))
-        values["structure"] = StructureMachine(
-            **{field.name: arrays[f"structure.{field.name}"] for field in fields(StructureMachine)}
-        )
-        return cls(**values)
 
 
 PARAMETERS = (

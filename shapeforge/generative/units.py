@@ -7,7 +7,7 @@ movement of the points while the slider goes from its 5th to its 95th percentile
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -246,7 +246,7 @@ def _direction(
 def _named(direction: Direction, index: int) -> Direction:
     name = f"{direction.kind.capitalize()} {index + 1}"
     caption = f"moves {direction.caption} of the shape's size"
-    return Direction(**{**direction.__dict__, "name": name, "caption": caption})
+    return replace(direction, name=name, caption=caption)
 
 
 def _sign(component: np.ndarray) -> float:

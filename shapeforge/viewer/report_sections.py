@@ -250,9 +250,11 @@ def directions(project: Any) -> str:
     for index, direction in enumerate(directions):
         of_bundle = direction.kind == "bundle"
         start = middle if of_bundle else base
+        # a bundle from where its unit is off in the family to where it is on, a direction over its usual range
+        ends = (direction.edges[0], direction.edges[-1]) if of_bundle else (direction.low, direction.high)
         low, half, high = (
-            np.asarray(drive(machine, start, {index: value}, directions=directions))
-            for value in (direction.low, (direction.low + direction.high) / 2 if of_bundle else 0.0, direction.high)
+            np.asarray(drive(machine, start, {index: float(value)}, directions=directions))
+            for value in (ends[0], sum(ends) / 2 if of_bundle else 0.0, ends[1])
         )
         between = colours if of_bundle else heat(np.asarray(direction.heat, float))
         pictures = [
@@ -271,8 +273,8 @@ def directions(project: Any) -> str:
         )
     note = "Left: the slider's low end. Middle: where it moves the shape (dark red: most). Right: its high end."
     note += " Bars: where the shapes of the family lie, the line is 0."
-    note += " A bundle is one unit of the second layer with all those of the first that it drives, at 0, ½ and 1"
-    note += " from the middle of the family."
+    note += " A bundle is one unit of the second layer with all those of the first that it drives, at 0, ½ and 1:"
+    note += " where the family's shapes have it most off, half-way, and most on, from the middle of the family."
     return f"<p class=note>{note}</p><div class=cards>{''.join(blocks)}</div>"
 
 

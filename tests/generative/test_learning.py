@@ -9,11 +9,11 @@ import pytest
 from shapeforge.collection.iterate import last
 from shapeforge.generative.baselines import draw_from_components, fit_principal_components, reconstruct_by_components
 from shapeforge.generative.descriptors import describe_shapes
-from shapeforge.generative.draw import Mixture, _spread_choice, draw, fit_mixture
+from shapeforge.generative.draw import _spread_choice, draw, fit_mixture
 from shapeforge.generative.inference import decode, infer
-from shapeforge.generative.joint import family_prior, held_out_errors, is_worse, shape_prior
+from shapeforge.generative.joint import family_prior, held_out_errors, is_worse, mostly_falls, shape_prior
 from shapeforge.generative.learning import learn_machine, reconstruction_error, split, vary
-from shapeforge.generative.machine import BetaShapeMachine, layer_sizes
+from shapeforge.generative.machine import PARAMETERS, layer_sizes
 from shapeforge.generative.observations import observe
 from shapeforge.generative.paper_form import to_paper
 from shapeforge.generative.units import bundles, directions, drive, middle_shape
@@ -66,30 +66,15 @@ def test_learned_machine_is_positive_as_the_print_asks(learned):
     assert min(base.min() for base in form.base) > -1e-4
 
 
-def test_machine_and_mixture_survive_a_store(family, learned, mixture):
-    machine = learned.machine
-    again = BetaShapeMachine.from_arrays(machine.to_arrays())
-    assert again.part_names == machine.part_names
-    seen = family[1]
-    np.testing.assert_array_equal(
-        infer(again, seen.values, seen.exists).top, infer(machine, seen.values, seen.exists).top
-    )
-    arrays = machine.to_arrays() | {}
-    assert all(array.dtype != object for array in arrays.values())
-    arrays.pop("existence_top")
-    with pytest.raises(ValueError, match="existence_top"):
-        BetaShapeMachine.from_arrays(arrays)
-    np.testing.assert_array_equal(Mixture.from_arrays(mixture.to_arrays()).codes, mixture.codes)
-
-
 def test_same_seed_same_bytes_whatever_the_workers(family):
     small = family[0].subset(np.arange(12))
     settings = {"epochs": 6, "pretraining": 3}
     alone = last(learn_machine(small, rng=np.random.default_rng(5), **settings))
     with ThreadPoolExecutor(2) as executor:
         together = last(learn_machine(small, rng=np.random.default_rng(5), executor=executor, **settings))
-    for name, array in alone.machine.to_arrays().items():
-        np.testing.assert_array_equal(array, together.machine.to_arrays()[name], err_msg=name)
+    for name in PARAMETERS:
+        for one, other in zip(getattr(alone.machine, name), getattr(together.machine, name), strict=True):
+            np.testing.assert_array_equal(one, other, err_msg=name)
 
 
 def test_two_shapes_are_enough_and_one_is_refused(family):
@@ -122,6 +107,33 @@ def test_draws_made_at_once_start_from_every_shape_as_often_as_its_weight_asks()
         assert (np.abs(counts - expected) < 1).all()
         np.testing.assert_allclose(counts.mean(axis=0), expected, atol=0.15)
     assert len(np.unique(_spread_choice(np.ones(50), 50, rng))) == 50
+
+
+def test_every_kind_of_shape_gets_its_share_of_the_draws():
+    kind, rng = np.array([0, 1, 0, 1, 1, 0, 2, 2, 1, 0]), np.random.default_rng(0)
+    for _ in range(50):
+        shares = np.bincount(kind[_spread_choice(np.ones(10), 5, rng, kind)], minlength=3)
+        assert (np.abs(shares - np.array([2, 2, 1])) < 1).all()
+
+
+def test_draws_are_as_new_as_the_familys_own_shapes_are_to_each_other(family, learned, mixture):
+    train, machine = family[0], learned.machine
+
+    def away(rows: np.ndarray, exists: np.ndarray, rank: int) -> float:
+        """Mean distance to the nearest shapes with the same parts, bar ``rank``; of those that have another such."""
+        found = []
+        for row, state in zip(rows, exists, strict=True):
+            alike = train.values[(train.exists == state).all(axis=1)][:, state[train.part]]
+            if len(alike) > 1:
+                squares = ((alike - row[state[train.part]]) ** 2).mean(axis=(1, 2))
+                found.append(np.sqrt(np.sort(squares)[rank]))
+        return float(np.mean(found))
+
+    usual = away(train.values, train.exists, 1)
+    drawn = draw(machine, mixture, 150, rng=np.random.default_rng(3))
+    assert 0.75 * usual < away(decode(machine, drawn.latents), drawn.exists, 0) < 1.33 * usual
+    narrow = draw(machine, replace(mixture, width=0.05), 150, rng=np.random.default_rng(3))
+    assert away(decode(machine, narrow.latents), narrow.exists, 0) < 0.6 * usual
 
 
 def test_draw_with_parts_asked_for(learned, mixture):
@@ -228,6 +240,15 @@ def test_shapes_set_aside_are_judged_by_their_surfaces(family, learned):
     assert wrong[0] > 1.5 * errors[0] and np.array_equal(wrong[1:], errors[1:])
     assert is_worse(errors, errors + 1e-4) and not is_worse(errors, errors) and not is_worse(errors, errors - 1e-4)
     assert not is_worse(np.zeros(4), np.array([1.0, -1.1, 1.0, -0.8])), "as good as chance"
+
+
+def test_a_few_shapes_that_change_much_do_not_decide():
+    before = np.ones(20)
+    after = np.where(np.arange(20) < 3, 9.0, 0.99)
+    assert mostly_falls(before, after), "three rise by much, all others fall a little"
+    after = np.where(np.arange(20) < 9, 1.01, 0.1)
+    assert not mostly_falls(before, after), "nine of twenty rise: as good as chance"
+    assert not mostly_falls(before, before + 0.01) and mostly_falls(before, before)
 
 
 def test_variations_stay_in_the_family_and_leave_lone_shapes_alone(family):
