@@ -227,20 +227,23 @@ def _import_one(
 def group(task: Task) -> Iterator[Progress]:
     """Groups of similar shapes and an exemplar for each; ``exemplars`` (names, or "auto") sets them by hand.
 
-    Groups that were changed by hand stay, and shapes that came since join the nearest: only ``restart``, or options
-    that are given, find all groups anew.
+    Groups that were changed by hand, or whose exemplars have labels, stay, and shapes that came since join the nearest:
+    only ``restart``, or options that are given, find all groups anew.
     """
     from shapeforge.collection.groups import group_shapes, join_groups
 
     project = task.project
-    if project.grouped_by_hand and not task.restart and not task.given:
-        new, kept = project.ungrouped_names, project.groups
-        yield task.progress("groups", 0, 1, "the groups made by hand stay")
+    kept = project.groups
+    painted = kept is not None and any(project.label_key(project.names[t]) for t in kept.exemplars)
+    by_hand = project.grouped_by_hand
+    if (by_hand or (painted and project.ungrouped_names)) and not task.restart and not task.given:
+        new, which = project.ungrouped_names, "made by hand" if by_hand else "of the painted exemplars"
+        yield task.progress("groups", 0, 1, f"the groups {which} stay")
         if kept is not None and len(kept):
             joined = join_groups(kept, project.shapes, [project.index(name) for name in new], executor=task.workers)
-            project.set_groups(joined, by_hand=True)
+            project.set_groups(joined, by_hand=by_hand)
             names = [project.names[t] for t in joined.exemplars]
-            text = f"{len(new)} new shape{'s' * (len(new) != 1)} joined the groups made by hand"
+            text = f"{len(new)} new shape{'s' * (len(new) != 1)} joined the groups {which}"
             task.summary |= {"text": text, "groups": len(names), "exemplars": names, "joined": list(new)}
             yield task.progress("groups", 1, 1, text)
             return
