@@ -218,19 +218,6 @@ class Results:
         """What ``synthesize`` drew last: points, exists, names, files, measures; None before it."""
         return self._read("synthesize", "draws")
 
-    # -- painting --------------------------------------------------------------------------------------------------
-
-    def write_history(self, name: str, history: Any) -> None:
-        """Keep the edit history of painting a shape: arrays, numbers, strings, lists and dicts of them."""
-        write_record(self.path / "history" / f"{name}.zarr.zip", history)
-
-    def read_history(self, name: str) -> Any | None:
-        """The edit history of a shape as it was written, None when there is none or it is damaged."""
-        try:
-            return read_record(self.path / "history" / f"{name}.zarr.zip")[0]
-        except ProjectError:
-            return None
-
 
 def write_names(path: Path, names: tuple[str, ...], **about: Any) -> None:
     """Write down which shapes results are about, and what else there is to say of what these came from."""

@@ -16,7 +16,7 @@ from shapeforge.viewer.display import Mark, MeshLayer, View, face_colours
 from shapeforge.viewer.first_parts import ProposedEdits, are_proposed
 from shapeforge.viewer.painting import PaintState, paint_state
 from shapeforge.viewer.palette import label_colours, pale
-from shapeforge.viewer.part_edits import PaintHistory, PartEdits, clock
+from shapeforge.viewer.part_edits import Open, PaintHistory, PartEdits, clock
 from shapeforge.viewer.part_table import PartTable
 from shapeforge.viewer.session import Session
 
@@ -124,9 +124,8 @@ class Painter:
             return False
         self.state.end()
         labels = self.state.labels.copy()
-        project = self.session.project
-        project.set_labels(self.name, labels if (labels >= 0).any() else None)
-        project.write_history(self.name, self.state.to_record())
+        faces = labels if (labels >= 0).any() else None
+        self.session.project.set_painting({self.name: faces}, {self.name: self.state.to_record()})
         self._remember_saved()
         return True
 
@@ -183,11 +182,11 @@ class Painter:
             kept = self._edits = PartEdits(project)
         return kept
 
-    def change_parts(self, change: Callable[[str | None], None]) -> None:
-        """Have ``change(name of the shape being painted)`` change the parts; all that is shown here follows."""
+    def change_parts(self, change: Callable[[Open], None]) -> None:
+        """Have ``change(the shape being painted)`` change the parts; all that is shown here follows."""
         self.state.end()
         before, part = self.edits.table, self.session.part
-        change(self.name)
+        change(None if self.name is None else (self.name, self.state))
         after = self.edits.table
         self.state.set_table(after)
         where = after.part_of
@@ -202,7 +201,7 @@ class Painter:
         self.state.end()
         self.state.forget_undone()
         when = clock(self.state, self.edits)
-        self.change_parts(lambda name: self.edits.do(kind, label, after, when, name))
+        self.change_parts(lambda open_one: self.edits.do(kind, label, after, when, open_one))
 
     def add_part(self, name: str) -> int:
         """Add a part to the family; returns its index.  Raises ValueError when the name is empty or taken."""
