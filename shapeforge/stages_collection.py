@@ -264,7 +264,8 @@ def group(task: Task) -> Iterator[Progress]:
         raise StageError(f"the shapes of {project.path} could not be grouped; name exemplars: --exemplars NAME NAME")
     project.set_groups(state.groups)
     names = [project.names[t] for t in state.groups.exemplars]
-    text = f"{len(names)} group{'s' * (len(names) > 1)}, exemplars {', '.join(names)}"
+    several = "s" * (len(names) > 1)
+    text = f"{len(names)} group{several}, exemplar{several} {', '.join(names)}"
     task.summary |= {"text": text, "groups": len(names), "exemplars": names, "stop_reason": state.stop_reason}
     yield task.progress("groups", 1, 1, text, state=state)
 

@@ -174,6 +174,11 @@ class Painter:
         return are_proposed(self.session) and not (self.state.labels >= 0).any()
 
     @property
+    def proposed_faces(self) -> Int[np.ndarray, " F"] | None:
+        """The proposed part (F,) of every face, as long as parts are only proposed; else None."""
+        return self._suggested if self._are_proposed else None
+
+    @property
     def edits(self) -> PartEdits:
         """The parts and the history of changing them, read anew when somebody else changed them."""
         project = self.session.project
@@ -346,8 +351,8 @@ class Painter:
         hidden = self.hidden_parts
         inks = self.session.project.part_inks()
         colours = face_colours(labels, inks)
-        if self._suggested is not None and self._are_proposed:
-            colours = pale(label_colours(self._suggested, inks), np.full(len(labels), SUGGESTED))
+        if (proposed := self.proposed_faces) is not None:
+            colours = pale(label_colours(proposed, inks), np.full(len(labels), SUGGESTED))
         colours = colours[self.mesh.face_of_triangle]
         gone = np.isin(labels, list(hidden))[self.mesh.face_of_triangle] if hidden else None
         key = None if gone is None else gone.tobytes()

@@ -81,6 +81,7 @@ class CollectionPlace:
         self.binding.on(("theme",), self._show_all, now=False)
         self.binding.on(("shape", "selected", "group"), self._show_selection, now=False)
         self.binding.on(("arrangement", "turn"), self._show_map, now=False)
+        self.binding.on(("running",), self._show_problems, now=False)
         self.binding.on(("running", "progress", "status", "turn"), self._show_progress, now=False)
 
     def enter(self) -> None:
@@ -180,10 +181,14 @@ class CollectionPlace:
         self._show_colours()
         self._show_map()
         self._show_groups()
-        self.problems.show_problems(self.session)
+        self._show_problems()
         self.strip.show_exemplars()
         self._show_selection()
         self._show_progress()
+
+    def _show_problems(self) -> None:
+        if self._here():
+            self.problems.show_problems(self.session)
 
     def _show_colours(self) -> None:
         options = [("group", "group"), ("plain", "nothing")]
