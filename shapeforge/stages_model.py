@@ -59,28 +59,29 @@ def fit(task: Task) -> Iterator[Progress]:
             if start is None
             else refit_templates(start, *known, within=True, **more)
         )
-        pace = None if state is None else Pace(state.round)
+        pace = Pace(0) if state is None and start is None else Pace(state.round + 1) if state is not None else None
+        planned = planned_costs(project, known[1], labels, seeds, options)
         for step in steps:
             if isinstance(step, Within):
-                known = state if state is not None else start
                 which, share = f"shape {step.shape} of {step.of_shapes}", step.shape / step.of_shapes
-                if start is not None and state is None:
+                if pace is None:
                     yield task.progress("corrected", step.shape, step.of_shapes, f"found anew, {which}")
                     continue
-                if pace is None or known is None:
-                    yield task.progress("start", step.shape, step.of_shapes, f"affine start, {which}")
+                left = pace.left(costs_at(planned, state, step.of), step.round + share)
+                if step.round == 0:
+                    message = f"affine start, {which}"
+                    yield task.progress("start", step.shape, step.of_shapes, message, seconds_left=left)
                     continue
-                left = pace.left(_costs(known, step.of, options), step.round - 1 + share)
                 message = f"round {step.round}, {which}"
                 yield task.progress("fit", step.round - 1, step.of, message, within=share, seconds_left=left)
                 continue
             if state is None and start is not None:
                 keep_rounds(project, folder, step)
             state = step
-            pace = pace or Pace(state.round)
+            pace = pace or Pace(state.round + 1)
             write_record(checkpoint, state)
             write_round(folder / "rounds" / f"{state.round:03d}.zarr.zip", state)
-            left = pace.left(_costs(state, state.of, options), float(state.round))
+            left = pace.left(costs_at(planned, state, state.of), state.round + 1.0)
             yield task.progress("fit", state.round, state.of, round_text(state), state=state, seconds_left=left)
     if state is None:
         raise StageError("the fit made no round; wanted rounds of at least 1")
@@ -100,13 +101,30 @@ def fit(task: Task) -> Iterator[Progress]:
     yield task.progress("faces", len(project.names), len(project.names), text, state=state)
 
 
-def _costs(state: Any, of: int, options: Mapping[str, Any]) -> list[float]:
-    """What the rounds of a fit cost that is at ``state``."""
-    from shapeforge.deformation.fit import exemplar_rounds
-    from shapeforge.stages_pace import round_costs
+def planned_costs(
+    project: Project, groups: Any, labels: Mapping[int, Any], seeds: Any, options: Mapping[str, Any]
+) -> Any:
+    """What a fit that begins is going to cost (``stages_pace.FitCosts``)."""
+    from shapeforge.deformation.fit import EXEMPLARS_PER_SHAPE, exemplar_rounds, planned_rounds
+    from shapeforge.stages_pace import FitCosts
 
-    first = state.family_from if state.family_from >= 0 else exemplar_rounds(options["rounds"])
-    return round_costs(of, len(state.templates) - (state.family is not None), first, len(state.candidates))
+    exemplars = max(1, sum(seeds is not None or int(t) in labels for t in groups.exemplars))
+    faces = float(np.mean([project.shape_record(name)["n_triangles"] for name in project.names]))
+    return FitCosts(
+        len(project.names), project.shapes[0].n_points, faces, exemplars, planned_rounds(options["rounds"], exemplars),
+        exemplar_rounds(options["rounds"]), float(min(exemplars, EXEMPLARS_PER_SHAPE)),
+    )  # fmt: skip
+
+
+def costs_at(planned: Any, state: Any | None, of: int) -> Any:
+    """What a fit costs that is at ``state`` (None: at its start) and will have ``of`` rounds."""
+    if state is None:
+        return replace(planned, of=of)
+    heard = sum(not one.family for found in state.candidates for one in found) / len(state.candidates)
+    return replace(
+        planned, of=of, heard=heard, exemplars=len(state.templates) - (state.family is not None),
+        family_from=state.family_from if state.family_from >= 0 else planned.family_from,
+    )  # fmt: skip
 
 
 def starting_parts(project: Project) -> tuple[dict[int, np.ndarray], tuple[str, ...], Sequence[np.ndarray] | None]:
