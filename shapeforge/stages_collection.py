@@ -413,6 +413,7 @@ def cosegment(task: Task) -> Iterator[Progress]:
         proposal = replace(proposal, exemplars=project.groups.exemplars)
     write_record(folder / f"found-{source}.zarr.zip", found)
     write_record(folder / "proposal.zarr.zip", proposal)
+    write_record(folder / "parts_of_points.zarr.zip", _parts_of_points(proposal))
     write_names(folder / "names.zarr.zip", project.names)
     number = len(proposal.part_names)
     if not project.labelled:
@@ -428,6 +429,22 @@ def edits_of(project: Project, *more: Sequence[str], **given: Any) -> list[list[
     """The edits of the proposed parts that hold under the options ``given``, and ``more``: for the option ``edits``."""
     kept = options_of("cosegment", project.stage_record("cosegment"), given)["edits"]
     return [*kept, *(list(edit) for edit in more)]
+
+
+def _parts_of_points(proposal: Any) -> dict[str, np.ndarray]:
+    """The likeliest part of every point, of all shapes in a row: what a window shows, without reading all chances."""
+    found = [np.asarray(one).argmax(axis=1).astype(np.int16) for one in proposal.segmentation]
+    return {"parts": np.concatenate(found), "lengths": np.array([len(one) for one in found])}
+
+
+def proposed_points(project: Project) -> list[np.ndarray] | None:
+    """The likeliest part (P,) of every point of each shape by the last ``cosegment``; None before it."""
+    folder = project.current_folder("cosegment")
+    if folder is None:
+        return None
+    file = folder / "parts_of_points.zarr.zip"
+    found = read_record(file)[0] if file.is_file() else _parts_of_points(read_proposal(project))
+    return np.split(found["parts"], np.cumsum(found["lengths"])[:-1])
 
 
 def read_proposal(project: Project) -> Any | None:

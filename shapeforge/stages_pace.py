@@ -19,7 +19,7 @@ START, START_POINTS = 70.0, 8.0
 ROUND, ROUND_POINTS = 4.0, 7.2
 """One candidate in an early round; and for every thousand points."""
 
-LATE_SHARE, LATE = 0.5, 1.6
+LATE_SHARE, LATE = 0.5, 1.4
 """The last rounds of the exemplars, this share, cost so much more: σ1 is sharp, and parts are switched off on trial."""
 
 LINKING_POINTS = 60.0
@@ -44,8 +44,8 @@ class FitCosts:
     """
 
     shapes: int
-    points: float
-    faces: float
+    points: float | int
+    faces: float | int
     exemplars: int
     of: int
     family_from: int

@@ -90,13 +90,12 @@ class Painter:
 
     def _proposed_faces(self, name: str) -> Int[np.ndarray, " F"] | None:
         """The proposed part (F,) of every face: that of the nearest sample."""
-        from shapeforge.stages_collection import read_proposal
+        from shapeforge.stages_collection import proposed_points
 
         project = self.session.project
         folder = project.current_folder("cosegment")
         if self._proposal is None or self._proposal[0] != folder:
-            found = read_proposal(project)
-            self._proposal = folder, None if found is None else [one.argmax(axis=1) for one in found.segmentation]
+            self._proposal = folder, proposed_points(project)
         index, labels = project.index(name), self._proposal[1]
         if labels is None or index >= len(labels) or len(labels[index]) != len(self.shape.points):
             return None
