@@ -45,10 +45,14 @@ def corrected_shapes(
     """Indices of the shapes that are painted otherwise than when ``state`` was fitted, or that it does not know."""
     found = []
     for t, candidates in enumerate(state.candidates):
-        before = candidates[0].beliefs.evidence if candidates else None
-        if before is None or not (t not in labels and (before < 0).all()):
-            if before is None or not np.array_equal(_evidence(shapes[t], labels.get(t)), before):
-                found.append(t)
+        if not candidates:
+            found.append(t)
+            continue
+        before = candidates[0].beliefs.evidence
+        if t not in labels and (before < 0).all():
+            continue  # unpainted then and now: the shape need not be read
+        if not np.array_equal(_evidence(shapes[t], labels.get(t)), before):
+            found.append(t)
     return tuple(found)
 
 
