@@ -73,6 +73,22 @@ def test_isolate_leaves_the_part_in_hand_and_what_is_unpainted(painting, qtbot):
     assert np.abs(settled(painting.view, qtbot) - whole).max() < 30
 
 
+def test_where_nothing_is_painted_parts_are_proposed_by_a_click_and_their_shares_shown(open_window, grouped, qtbot):
+    window = open_window(grouped, "paint")
+    place = window.places["paint"]
+    assert "let parts be proposed" in place.next.fit_why.text()
+    grey = settled(place.view, qtbot)
+    qtbot.mouseClick(place.parts.propose, LEFT)
+    qtbot.waitUntil(lambda: not window.session.running and len(place.parts.rows) > 1, timeout=60000)
+    assert window.session.status_kind == "ok", window.session.status
+    assert not place.parts.propose.isVisible() and place.blank.text() == "Proposed"
+    shares = [int(one.share.text().strip("<%")) for one in place.parts.rows]
+    assert 97 <= sum(shares) <= 103
+    assert "part 1" in place.tool_hint.text() and place.next.fit.isEnabled()
+    assert (np.abs(settled(place.view, qtbot) - grey).sum(axis=2) > 60).mean() > 0.01, "they are seen"
+    assert (place.painter.state.labels < 0).all(), "and nothing is painted"
+
+
 def test_turning_one_shape_turns_all_of_them(lightbox, qtbot):
     view, target = lightbox.view, lightbox.view.plotter
     before = settled(view, qtbot)
