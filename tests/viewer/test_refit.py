@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QPushButton
 
 from shapeforge.collection.families import write_family
 from shapeforge.collection.labels import PartNames, read_seg
@@ -85,6 +86,8 @@ def test_an_exemplar_is_repainted_in_the_window_and_refitted_from_there(open_win
     place._show_all()
     qtbot.waitUntil(place.correction.refit.isVisible)
     assert f"Repainted: {exemplar}" in place.correction.words.text() and not place.correction.anew.isVisible()
+    offered = [one.text() for one in place.report.findChildren(QPushButton) if one.isVisible()]
+    assert "Refit from here" in offered and "Run it again" not in offered
     qtbot.mouseClick(place.correction.refit, LEFT)
     qtbot.waitUntil(lambda: not session.running, timeout=LONG)
     assert session.status_kind == "ok", session.status

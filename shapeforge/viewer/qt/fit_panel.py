@@ -175,7 +175,7 @@ class FitPlace:
         return result
 
     def _make_inspector(self) -> QWidget:
-        stale = stale_note(self.actions, self.binding, "fit", "fit", "Run it again")
+        stale = stale_note(self.actions, self.binding, "fit", "fit", "Run it again", rather="refit")
         self.report = FitReport(stale)
         self.report.watch.connect(self._watch_all)
         self.report.override.connect(self._override)
