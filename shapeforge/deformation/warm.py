@@ -30,6 +30,10 @@ WARM_ROUNDS = 2
 FAMILY_ROUNDS = 4
 """Rounds of the family's own templates after exemplars were painted otherwise: they are linked anew."""
 
+MOST_UNSEEN = 0.1
+"""Share of an exemplar's painted surface that may have been unpainted in the fit: where it lies on the other shapes is
+only guessed from its neighbourhood.  With a whole part of chairs unseen the labels ended worse than after a new fit."""
+
 
 def gathered(state: FitState, known: Sequence[str], names: Sequence[str]) -> FitState:
     """The state of a fit of the shapes ``known`` for the shapes ``names``: those that it does not know have no
@@ -84,8 +88,12 @@ def why_not_warm(
         if not painted and (state.candidates[t][0].beliefs.evidence >= 0).any():
             return f"{name} is an exemplar, and is no longer painted."
     for g, t in _repainted(state, shapes, groups, labels).items():
-        if surface_rows(state.templates[g], shapes[t]) is None:
+        rows = surface_rows(state.templates[g], shapes[t])
+        if rows is None:
             return f"{names[t]} is an exemplar, and was read anew since the fit."
+        painted = np.flatnonzero(_evidence(shapes[t], labels[t]) >= 0)
+        if len(painted) and np.isin(painted, rows, invert=True).mean() > MOST_UNSEEN:
+            return f"Much of {names[t]} was unpainted in the fit: nobody knows where that is on the other shapes."
     return ""
 
 

@@ -113,6 +113,11 @@ def test_it_says_why_a_fit_has_to_start_anew(family):
     assert f"{shapes[4].name} is an exemplar, and is no longer" in why_not_warm(state, shapes, groups, unpainted, names)
     third = Groups(("a", "b", "c"), np.array([0, 0, 0, 2, 1, 1]), np.array([0, 4, 3]), groups.embedding)
     assert "had no templates" in why_not_warm(state, shapes, third, {**labels, 3: truth[3]}, names)
+    parts = np.bincount(truth[4][shapes[4].face_of_point])
+    lacking = {**labels, 4: np.where(truth[4] == parts.argmax(), -1, truth[4]).astype(np.int32)}
+    assert why_not_warm(state, shapes, groups, lacking, names) == "", "paint may go"
+    bare = family_without(family, state, parts.argmax())
+    assert f"Much of {shapes[4].name} was unpainted" in why_not_warm(bare, shapes, groups, labels, names)
     other = [replace(shapes[0], descriptors=shapes[0].descriptors + 1.0), *shapes[1:]]
     repainted = {**labels, 0: np.zeros_like(truth[0])}
     assert "read anew" in why_not_warm(state, other, groups, repainted, names)
@@ -120,6 +125,13 @@ def test_it_says_why_a_fit_has_to_start_anew(family):
     assert "read anew" in why_not_warm(forgotten, shapes, groups, labels, names)
     with pytest.raises(ValueError, match="Fit from the start"):
         next(refit_templates(state, shapes, moved, labels, names, rng=np.random.default_rng(0)))
+
+
+def family_without(family, state, part: int):
+    """The first state of a fit whose second exemplar had no such part, in the place of ``state``."""
+    shapes, groups, truth, names, *_ = family
+    labels = {0: truth[0], 4: np.where(truth[4] == part, -1, truth[4]).astype(np.int32)}
+    return next(fit_templates(shapes, groups, labels, names, rounds=6, rng=np.random.default_rng(0)))
 
 
 def of_names(shapes) -> list[str]:
