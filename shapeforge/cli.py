@@ -188,7 +188,7 @@ def fit(
     jobs: Jobs = None,
     restart: Restart = False,
     warm: Annotated[
-        bool, typer.Option("--warm", help="Go on from the present fit; only shapes painted otherwise are found anew.")
+        bool, typer.Option("--warm", help="Go on from the present fit with shapes painted otherwise, and new ones.")
     ] = False,
     as_json: Json = False,
 ) -> None:

@@ -22,20 +22,23 @@ from shapeforge.store_results import write_names
 def group(task: Task) -> Iterator[Progress]:
     """Groups of similar shapes and an exemplar for each; ``exemplars`` (names, or "auto") sets them by hand.
 
-    Groups that were changed by hand stay, and shapes that came since join the nearest: only ``restart``, or options
-    that are given, find all groups anew.
+    Groups that were changed by hand, or whose exemplars have labels, stay, and shapes that came since join the nearest:
+    only ``restart``, or options that are given, find all groups anew.
     """
     from shapeforge.collection.groups import group_shapes, join_groups
 
     project = task.project
-    if project.grouped_by_hand and not task.restart and not task.given:
-        new, kept = project.ungrouped_names, project.groups
-        yield task.progress("groups", 0, 1, "the groups made by hand stay")
+    kept = project.groups
+    painted = kept is not None and any(project.label_key(project.names[t]) for t in kept.exemplars)
+    by_hand = project.grouped_by_hand
+    if (by_hand or (painted and project.ungrouped_names)) and not task.restart and not task.given:
+        new, which = project.ungrouped_names, "made by hand" if by_hand else "of the painted exemplars"
+        yield task.progress("groups", 0, 1, f"the groups {which} stay")
         if kept is not None and len(kept):
             joined = join_groups(kept, project.shapes, [project.index(name) for name in new], executor=task.workers)
-            project.set_groups(joined, by_hand=True)
+            project.set_groups(joined, by_hand=by_hand)
             names = [project.names[t] for t in joined.exemplars]
-            text = f"{len(new)} new shape{'s' * (len(new) != 1)} joined the groups made by hand"
+            text = f"{len(new)} new shape{'s' * (len(new) != 1)} joined the groups {which}"
             task.summary |= {"text": text, "groups": len(names), "exemplars": names, "joined": list(new)}
             yield task.progress("groups", 1, 1, text)
             return
@@ -56,7 +59,8 @@ def group(task: Task) -> Iterator[Progress]:
         raise StageError(f"the shapes of {project.path} could not be grouped; name exemplars: --exemplars NAME NAME")
     project.set_groups(state.groups)
     names = [project.names[t] for t in state.groups.exemplars]
-    text = f"{len(names)} group{'s' * (len(names) > 1)}, exemplars {', '.join(names)}"
+    several = "s" * (len(names) > 1)
+    text = f"{len(names)} group{several}, exemplar{several} {', '.join(names)}"
     task.summary |= {"text": text, "groups": len(names), "exemplars": names, "stop_reason": state.stop_reason}
     yield task.progress("groups", 1, 1, text, state=state)
 
@@ -204,6 +208,7 @@ def cosegment(task: Task) -> Iterator[Progress]:
         proposal = replace(proposal, exemplars=project.groups.exemplars)
     write_record(folder / f"found-{source}.zarr.zip", found)
     write_record(folder / "proposal.zarr.zip", proposal)
+    write_record(folder / "parts_of_points.zarr.zip", _parts_of_points(proposal))
     write_names(folder / "names.zarr.zip", project.names)
     number = len(proposal.part_names)
     if not project.labelled:
@@ -219,6 +224,22 @@ def edits_of(project: Project, *more: Sequence[str], **given: Any) -> list[list[
     """The edits of the proposed parts that hold under the options ``given``, and ``more``: for the option ``edits``."""
     kept = options_of("cosegment", project.stage_record("cosegment"), given)["edits"]
     return [*kept, *(list(edit) for edit in more)]
+
+
+def _parts_of_points(proposal: Any) -> dict[str, np.ndarray]:
+    """The likeliest part of every point, of all shapes in a row: what a window shows, without reading all chances."""
+    found = [np.asarray(one).argmax(axis=1).astype(np.int16) for one in proposal.segmentation]
+    return {"parts": np.concatenate(found), "lengths": np.array([len(one) for one in found])}
+
+
+def proposed_points(project: Project) -> list[np.ndarray] | None:
+    """The likeliest part (P,) of every point of each shape by the last ``cosegment``; None before it."""
+    folder = project.current_folder("cosegment")
+    if folder is None:
+        return None
+    file = folder / "parts_of_points.zarr.zip"
+    found = read_record(file)[0] if file.is_file() else _parts_of_points(read_proposal(project))
+    return np.split(found["parts"], np.cumsum(found["lengths"])[:-1])
 
 
 def read_proposal(project: Project) -> Any | None:

@@ -14,9 +14,9 @@ from threadpoolctl import threadpool_limits
 
 from shapeforge.stages import Progress, StageError, Task
 from shapeforge.stages_collection import read_proposal
-from shapeforge.stages_status import starts_from_proposal
+from shapeforge.stages_status import first_parts, starts_from_proposal
 from shapeforge.store import Project
-from shapeforge.store_arrays import copy_file, read_record, write_record, write_text
+from shapeforge.store_arrays import read_record, write_record, write_text
 from shapeforge.store_results import write_names, write_round
 from shapeforge.workers import Workers
 
@@ -28,8 +28,9 @@ SECONDS_BETWEEN_CHECKPOINTS = 20.0
 def fit(task: Task) -> Iterator[Progress]:
     """Templates, correspondences, segmentations (a checkpoint a round), then the high-level templates and faces."""
     from shapeforge.deformation.fit import Within, fit_templates
-    from shapeforge.deformation.warm import WARM_ROUNDS, refit_templates
+    from shapeforge.deformation.warm import refit_templates
     from shapeforge.stages_pace import Pace
+    from shapeforge.stages_warm import keep_rounds, warm_start
 
     project, folder = task.project, task.folder
     checkpoint, went_warm = folder / "checkpoint.zarr.zip", folder / "warm.json"
@@ -42,7 +43,8 @@ def fit(task: Task) -> Iterator[Progress]:
         if start is None:
             yield task.progress("fit", 0, 1, f"starts anew: {reason}")
     labels, part_names, seeds = starting_parts(project)
-    write_names(folder / "names.zarr.zip", project.names)
+    keys = {name: project.shape_record(name)["key"] for name in project.names}
+    write_names(folder / "names.zarr.zip", project.names, keys=keys, first_parts=first_parts(project))
     if state is None or state.stop_reason is None:
         options, rng = task.options, np.random.default_rng(task.options["seed"])
         known = (project.shapes, starting_groups(project), labels, part_names)
@@ -50,33 +52,36 @@ def fit(task: Task) -> Iterator[Progress]:
         if state is not None:
             yield task.progress("fit", state.round, state.of, f"goes on after round {state.round}", state=state)
         elif start is not None:
-            keep_rounds(project, folder)
             write_text(went_warm, "{}")
-            yield task.progress(
-                "fit", start.round, start.round + WARM_ROUNDS, "finding the corrected shapes anew", state=start
-            )
+            yield task.progress("corrected", 0, 1, "finding the corrected shapes anew")
         steps = (
             fit_templates(*known, rounds=options["rounds"], resume=state, within=True, **more)
             if start is None
             else refit_templates(start, *known, within=True, **more)
         )
-        pace = None if state is None and start is None else Pace((state or start).round)
+        pace = Pace(0) if state is None and start is None else Pace(state.round + 1) if state is not None else None
+        planned = planned_costs(project, known[1], labels, seeds, options)
         for step in steps:
             if isinstance(step, Within):
-                known = state if state is not None else start
                 which, share = f"shape {step.shape} of {step.of_shapes}", step.shape / step.of_shapes
-                if pace is None or known is None:
-                    yield task.progress("start", step.shape, step.of_shapes, f"affine start, {which}")
+                if pace is None:
+                    yield task.progress("corrected", step.shape, step.of_shapes, f"found anew, {which}")
                     continue
-                left = pace.left(_costs(known, step.of, options), step.round - 1 + share)
+                left = pace.left(costs_at(planned, state, step.of), step.round + share)
+                if step.round == 0:
+                    message = f"affine start, {which}"
+                    yield task.progress("start", step.shape, step.of_shapes, message, seconds_left=left)
+                    continue
                 message = f"round {step.round}, {which}"
                 yield task.progress("fit", step.round - 1, step.of, message, within=share, seconds_left=left)
                 continue
+            if state is None and start is not None:
+                keep_rounds(project, folder, step)
             state = step
-            pace = pace or Pace(state.round)
+            pace = pace or Pace(state.round + 1)
             write_record(checkpoint, state)
             write_round(folder / "rounds" / f"{state.round:03d}.zarr.zip", state)
-            left = pace.left(_costs(state, state.of, options), float(state.round))
+            left = pace.left(costs_at(planned, state, state.of), state.round + 1.0)
             yield task.progress("fit", state.round, state.of, round_text(state), state=state, seconds_left=left)
     if state is None:
         raise StageError("the fit made no round; wanted rounds of at least 1")
@@ -96,38 +101,30 @@ def fit(task: Task) -> Iterator[Progress]:
     yield task.progress("faces", len(project.names), len(project.names), text, state=state)
 
 
-def _costs(state: Any, of: int, options: Mapping[str, Any]) -> list[float]:
-    """What the rounds of a fit cost that is at ``state``."""
-    from shapeforge.deformation.fit import exemplar_rounds
-    from shapeforge.stages_pace import round_costs
+def planned_costs(
+    project: Project, groups: Any, labels: Mapping[int, Any], seeds: Any, options: Mapping[str, Any]
+) -> Any:
+    """What a fit that begins is going to cost (``stages_pace.FitCosts``)."""
+    from shapeforge.deformation.fit import EXEMPLARS_PER_SHAPE, exemplar_rounds, planned_rounds
+    from shapeforge.stages_pace import FitCosts
 
-    first = state.family_from if state.family_from >= 0 else exemplar_rounds(options["rounds"])
-    return round_costs(of, len(state.templates) - (state.family is not None), first, len(state.candidates))
-
-
-def warm_start(project: Project) -> tuple[Any | None, str]:
-    """The state of the present fit, to be taken up again with other paint; else None and why it cannot be."""
-    from shapeforge.deformation.warm import why_not_warm
-
-    folder = project.current_folder("fit")
-    if folder is None or not (folder / "fit.zarr.zip").is_file():
-        return None, "There is no finished fit."
-    if tuple(read_record(folder / "names.zarr.zip")[0]["names"]) != project.names:
-        return None, "There are other shapes than in the fit."
-    state = read_record(folder / "fit.zarr.zip")[0]
-    try:
-        labels, part_names, _ = starting_parts(project)
-    except StageError as error:
-        return None, str(error)
-    reason = why_not_warm(state, project.shapes, starting_groups(project), labels, part_names)
-    return (None, reason) if reason else (state, "")
+    exemplars = max(1, sum(seeds is not None or int(t) in labels for t in groups.exemplars))
+    faces = float(np.mean([project.shape_record(name)["n_triangles"] for name in project.names]))
+    return FitCosts(
+        len(project.names), project.shapes[0].n_points, faces, exemplars, planned_rounds(options["rounds"], exemplars),
+        exemplar_rounds(options["rounds"]), float(min(exemplars, EXEMPLARS_PER_SHAPE)),
+    )  # fmt: skip
 
 
-def keep_rounds(project: Project, folder: Path) -> None:
-    """The rounds recorded so far are the first of those of a fit that takes the present one up again."""
-    before = project.current_folder("fit")
-    for file in sorted((before / "rounds").glob("*.zarr.zip")) if before is not None else ():
-        copy_file(file, folder / "rounds" / file.name)
+def costs_at(planned: Any, state: Any | None, of: int) -> Any:
+    """What a fit costs that is at ``state`` (None: at its start) and will have ``of`` rounds."""
+    if state is None:
+        return replace(planned, of=of)
+    heard = sum(not one.family for found in state.candidates for one in found) / len(state.candidates)
+    return replace(
+        planned, of=of, heard=heard, exemplars=len(state.templates) - (state.family is not None),
+        family_from=state.family_from if state.family_from >= 0 else planned.family_from,
+    )  # fmt: skip
 
 
 def starting_parts(project: Project) -> tuple[dict[int, np.ndarray], tuple[str, ...], Sequence[np.ndarray] | None]:

@@ -6,7 +6,7 @@ What a stage came from is a key over its options and inputs; a stage whose key n
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from shapeforge.store import Project, key_of
@@ -122,27 +122,75 @@ def starts_from_proposal(project: Project) -> bool:
     return names == proposed and not any(project.names[t] in labelled for t in groups.exemplars)
 
 
-def corrections(project: Project) -> tuple[tuple[str, ...], str]:
-    """Names of the shapes painted otherwise since the fit, and why it cannot be taken up again with them ("": it can).
+@dataclass(frozen=True)
+class Corrections:
+    """Names of the shapes that a fit is to be taken up again with, and ``why`` it cannot be ("": it can).
 
-    By what is written down of the fit; ``stages_model.warm_start`` looks at the fit itself.
+    ``painted`` otherwise than when it was fitted, ``exemplars`` among them; ``new``: imported, read or turned since.
+    """
+
+    painted: tuple[str, ...] = ()
+    exemplars: tuple[str, ...] = ()
+    new: tuple[str, ...] = ()
+    why: str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All of them."""
+        return (*self.painted, *(name for name in self.new if name not in self.painted))
+
+
+def first_parts(project: Project) -> str:
+    """Which proposal of parts a fit starts from, as an id that changes with it; "" where it starts from labels."""
+    record = project.stage_record("cosegment") or {}
+    return str(record["result"]) if starts_from_proposal(project) else ""
+
+
+def unchanged_shapes(project: Project) -> frozenset[str]:
+    """Names of the shapes that are as the present fit read them (one of an earlier version tells their names only)."""
+    keys = project.fitted_keys
+    return frozenset(
+        name for name in project.names if name in keys and keys[name] in ("", project.shape_record(name)["key"])
+    )
+
+
+def corrections(project: Project) -> Corrections:
+    """The shapes that changed since the fit, and whether it can be taken up again with them.
+
+    By what is written down of the fit; ``stages_warm.warm_start`` looks at the fit itself.
     """
     summary = (project.stage_record("fit") or {}).get("summary") or {}
     if project.current_folder("fit") is None or "painted" not in summary:
-        return (), "There is no finished fit."
-    before = summary["painted"]
-    changed = tuple(name for name in project.names if before.get(name) != project.label_key(name))
-    if not changed:
-        return (), "Nothing was painted since the fit."
-    if sorted(summary["shapes"]) != sorted(project.names):
-        return changed, "There are other shapes than in the fit."
-    names = project.part_names.names if project.part_names is not None else ()
+        return Corrections(why="There is no finished fit.")
+    before, same = summary["painted"], unchanged_shapes(project)
+    painted = tuple(name for name in project.names if before.get(name) != project.label_key(name))
+    exemplars = tuple(name for name in painted if name in summary["exemplars"])
+    new = tuple(name for name in project.names if name not in same)
+    found = Corrections(painted, exemplars, new)
+    if not found.names:
+        return Corrections(why="Nothing was painted since the fit.")
+    return replace(found, why=_why_not_warm(project, summary, found))
+
+
+def _why_not_warm(project: Project, summary: Mapping[str, Any], found: Corrections) -> str:
+    names, groups = project.part_names.names if project.part_names is not None else (), project.groups
     if list(names) != summary["parts"]:
-        return changed, "The parts are others than in the fit."
-    repainted = [name for name in summary["exemplars"] if name in changed]
-    if repainted:
-        return changed, f"{repainted[0]} is an exemplar: its paint makes the templates."
-    return changed, ""
+        return "The parts are others than in the fit."
+    exemplars = [project.names[t] for t in groups.exemplars] if groups is not None else []
+    if starts_from_proposal(project):
+        if found.new:
+            return "The parts were proposed before the new shapes came."
+    else:
+        if not set(summary["exemplars"]) <= set(exemplars):
+            return "The exemplars are others than in the fit."
+        fresh = [name for name in exemplars if name not in summary["exemplars"] and project.label_key(name)]
+        if fresh:
+            return f"{fresh[0]} is an exemplar, and the fit had no templates of it."
+    anew = [name for name in summary["exemplars"] if name in found.new]
+    if anew:
+        return f"{anew[0]} is an exemplar, and was read anew since the fit."
+    bare = [name for name in found.exemplars if project.label_key(name) is None]
+    return f"{bare[0]} is an exemplar, and is no longer painted." if bare else ""
 
 
 def difference(record: Mapping[str, Any], options: Mapping[str, Any], inputs: Mapping[str, Any]) -> str:

@@ -6,7 +6,7 @@
     shapeforge.log               what happened when, with the tracebacks the command line hides
     meshes/<name>.<ext>          copies of the input files
     shapes/<name>.zarr.zip       one prepared shape: mesh, samples, descriptors, patches (zarr v3 in a zip)
-    labels/<name>.zarr.zip       part of every face record, as given or painted
+    labels/<name>/<key>.zarr.zip part of every face record, as given or painted; history/…: the strokes that led to it
     groups.zarr.zip              groups and exemplars
     <stage>/<key>/…              results of the fit and of everything after it, by the key of what they came from
 
@@ -28,21 +28,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Int, UInt8
 
-from shapeforge.collection.colours import inks_of
 from shapeforge.collection.groups import Groups
-from shapeforge.collection.labels import PartNames
 from shapeforge.collection.shape import Shape
-from shapeforge.store_arrays import (
-    ProjectError,
-    read_arrays,
-    read_json,
-    read_record,
-    write_arrays,
-    write_record,
-    write_text,
-)
+from shapeforge.store_arrays import ProjectError, key_of, read_json, read_record, write_record, write_text
+from shapeforge.store_labels import Labels
 from shapeforge.store_lock import WriterLock
 from shapeforge.store_results import Results
 
@@ -68,21 +58,6 @@ class Problem:
     def __str__(self) -> str:
         text = f"{self.file}: {self.reason.rstrip('.')}."
         return f"{text} {self.remedy.rstrip('.')}{'' if self.remedy.endswith('?') else '.'}" if self.remedy else text
-
-
-def key_of(*parts: Any) -> str:
-    """A short hash of numbers, strings, arrays and JSON values: equal content, equal key."""
-    digest = hashlib.sha256()
-    for part in parts:
-        if isinstance(part, np.ndarray):
-            digest.update(f"{part.dtype.str}{part.shape}".encode())
-            digest.update(np.ascontiguousarray(part).tobytes())
-        elif isinstance(part, bytes):
-            digest.update(part)
-        else:
-            digest.update(json.dumps(part, sort_keys=True).encode())
-        digest.update(b"\0")
-    return digest.hexdigest()[:16]
 
 
 class StoredShapes(Sequence):
@@ -131,7 +106,7 @@ class StoredShapes(Sequence):
         return shape
 
 
-class Project(Results):
+class Project(Labels, Results):
     """A project folder.  Reading needs no lock; whatever writes takes it (see :meth:`writing`)."""
 
     def __init__(self, path: Path, metadata: dict[str, Any]) -> None:
@@ -285,72 +260,7 @@ class Project(Results):
             kept = [problem for problem in metadata["problems"] if problem["file"] not in set(about)]
             metadata["problems"] = kept + [dataclasses.asdict(problem) for problem in problems]
 
-    # -- labels and groups -----------------------------------------------------------------------------------------
-
-    @property
-    def part_names(self) -> PartNames | None:
-        """Parts of the family, None before any label is known."""
-        stored = self._metadata["part_names"]
-        if not stored:
-            return None
-        return PartNames(tuple(stored["ids"]), tuple(stored["names"]), dict(stored.get("colours", {})))
-
-    def part_inks(self, names: Sequence[str] | None = None) -> UInt8[np.ndarray, "L 3"]:
-        """Colours (L, 3) of the parts called ``names`` (None: the project's): those chosen, else by their place."""
-        known = self.part_names or PartNames((), ())
-        return inks_of(known.names if names is None else names, known.colours)
-
-    def set_part_names(self, part_names: PartNames, edits: Mapping[str, Any] | None = None) -> None:
-        """Name the parts; parts may be added or renamed, labels keep their part index.
-
-        ``edits`` is the history of changing them by hand that leads to these, written at once with them.
-        """
-        names = list(part_names.names)
-        colours = {name: colour for name, colour in part_names.colours.items() if name in names}
-        with self._changing() as metadata:
-            metadata["part_names"] = {"ids": list(part_names.ids), "names": names, "colours": colours}
-            if edits is not None:
-                metadata["part_edits"] = dict(edits)
-
-    @property
-    def part_edits(self) -> dict[str, Any]:
-        """The history of changing the parts by hand as it was written, empty before there is any."""
-        return json.loads(json.dumps(self._metadata.get("part_edits", {})))
-
-    @property
-    def labelled(self) -> tuple[str, ...]:
-        """Names of the shapes that have labels."""
-        return tuple(name for name in self.names if name in self._metadata["labels"])
-
-    def label_key(self, name: str) -> str | None:
-        """Key of the labels of a shape, None without labels."""
-        return self._metadata["labels"].get(name)
-
-    def labels(self, name: str) -> Int[np.ndarray, " F"] | None:
-        """Part index per face record (n_faces,), -1 where nothing is said; None when the shape has no labels."""
-        self.shape_record(name)
-        if name not in self._metadata["labels"]:
-            return None
-        arrays, _ = read_arrays(self.path / "labels" / f"{name}.zarr.zip")
-        return arrays["faces"]
-
-    def set_labels(self, name: str, faces: Int[np.ndarray, " F"] | None) -> None:
-        """Label a shape: part index per face record, -1 unlabelled; None takes its labels away."""
-        if faces is None:
-            with self._changing() as metadata:
-                metadata["labels"].pop(name, None)
-            return
-        faces = np.asarray(faces, np.int32)
-        n_faces = self.shape_record(name)["n_faces"]
-        n_parts = len(self.part_names or ())
-        if len(faces) != n_faces:
-            raise ValueError(f"faces: wanted one label for each of the {n_faces} faces of {name}, got {len(faces)}")
-        if len(faces) and (faces.min() < -1 or faces.max() >= n_parts):
-            raise ValueError(f"faces: wanted -1 to {n_parts - 1}, got {faces.min()} to {faces.max()}; name parts first")
-        with self.writing():
-            write_arrays(self.path / "labels" / f"{name}.zarr.zip", {"faces": faces})
-            with self._changing() as metadata:
-                metadata["labels"][name] = key_of(faces)
+    # -- groups ----------------------------------------------------------------------------------------------------
 
     @property
     def groups(self) -> Groups | None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import errno
+import hashlib
 import importlib
 import json
 import os
@@ -292,6 +293,21 @@ def _column(column: Mapping[str, Any], count: int, arrays: Mapping[str, np.ndarr
 
 def _class(name: str) -> type:
     return getattr(importlib.import_module(RECORD_CLASSES[name]), name)
+
+
+def key_of(*parts: Any) -> str:
+    """A short hash of numbers, strings, arrays and JSON values: equal content, equal key."""
+    digest = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, np.ndarray):
+            digest.update(f"{part.dtype.str}{part.shape}".encode())
+            digest.update(np.ascontiguousarray(part).tobytes())
+        elif isinstance(part, bytes):
+            digest.update(part)
+        else:
+            digest.update(json.dumps(part, sort_keys=True).encode())
+        digest.update(b"\0")
+    return digest.hexdigest()[:16]
 
 
 def read_json(path: Path) -> Any:

@@ -100,7 +100,16 @@ class Results:
         if folder is None:
             return ()
         with self._remedy(self.fit_stage):
-            return _names_of(folder / "names.zarr.zip")
+            return tuple(name for name, _ in _names_and_keys(folder / "names.zarr.zip"))
+
+    @property
+    def fitted_keys(self) -> dict[str, str]:
+        """Keys of the shapes as the last complete ``fit`` read them, by name; empty before it."""
+        folder = self.current_folder("fit")
+        if folder is None:
+            return {}
+        with self._remedy("fit"):
+            return dict(_names_and_keys(folder / "names.zarr.zip"))
 
     def _fitted(self, name: str) -> dict[str, Any] | None:
         folder = self.current_folder(self.fit_stage)
@@ -209,23 +218,10 @@ class Results:
         """What ``synthesize`` drew last: points, exists, names, files, measures; None before it."""
         return self._read("synthesize", "draws")
 
-    # -- painting --------------------------------------------------------------------------------------------------
 
-    def write_history(self, name: str, history: Any) -> None:
-        """Keep the edit history of painting a shape: arrays, numbers, strings, lists and dicts of them."""
-        write_record(self.path / "history" / f"{name}.zarr.zip", history)
-
-    def read_history(self, name: str) -> Any | None:
-        """The edit history of a shape as it was written, None when there is none or it is damaged."""
-        try:
-            return read_record(self.path / "history" / f"{name}.zarr.zip")[0]
-        except ProjectError:
-            return None
-
-
-def write_names(path: Path, names: tuple[str, ...]) -> None:
-    """Write down which shapes results are about."""
-    write_record(path, {"names": names})
+def write_names(path: Path, names: tuple[str, ...], **about: Any) -> None:
+    """Write down which shapes results are about, and what else there is to say of what these came from."""
+    write_record(path, {"names": names, **about})
 
 
 def write_round(path: Path, state: Any) -> None:
@@ -253,5 +249,7 @@ def _read_fitted(path: Path, modified: int, size: int) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=8)
-def _names_of(path: Path) -> tuple[str, ...]:
-    return tuple(read_record(path)[0]["names"])
+def _names_and_keys(path: Path) -> tuple[tuple[str, str], ...]:
+    record = read_record(path)[0]
+    keys = record.get("keys", {})
+    return tuple((name, keys.get(name, "")) for name in record["names"])

@@ -350,8 +350,8 @@ def test_a_temperature_that_is_no_number(folder: Path, capsys) -> None:
 
 @pytest.mark.parametrize("ending", ["glb", "obj", "stl"])
 def test_labels_belong_to_their_faces_in_any_format(folder: Path, tmp_path: Path, ending: str) -> None:
+    from shapeforge.collection.labels import PartNames
     from shapeforge.stages_synthesis import write_labelled
-    from shapeforge.store import PartNames
     from shapeforge.store_arrays import read_record
 
     project = Project.open(folder / "project")

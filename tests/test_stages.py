@@ -19,7 +19,7 @@ from shapeforge import stages
 from shapeforge.collection.families import write_family
 from shapeforge.collection.groups import join_groups
 from shapeforge.collection.iterate import last
-from shapeforge.collection.labels import read_seg
+from shapeforge.collection.labels import PartNames, read_seg
 from shapeforge.deformation.hierarchy import Link
 from shapeforge.deformation.warm import WARM_ROUNDS
 from shapeforge.generative.draw import draw
@@ -29,9 +29,10 @@ from shapeforge.stages import Progress, StageError, next_step, run, status
 from shapeforge.stages_collection import edits_of, merged_part_names
 from shapeforge.stages_draws import drawn_as_asked, latents_of
 from shapeforge.stages_model import curve, named_split, starting_groups, starting_parts
+from shapeforge.stages_pose import turn_by_hand
 from shapeforge.stages_refine import judging_shapes, machine_prior, on_template
-from shapeforge.stages_status import corrections
-from shapeforge.store import PartNames, Project
+from shapeforge.stages_status import Corrections, corrections
+from shapeforge.store import Project
 from shapeforge.workers import Workers
 
 POINTS, COUNT = 400, 6
@@ -536,9 +537,9 @@ def paint_some(project: Project, family: Path, name: str) -> None:
 def test_a_corrected_shape_is_found_anew_and_the_fit_goes_on(done: Project, family: Path, tmp_path: Path) -> None:
     project = copy_of(done, tmp_path / "p")
     before, rounds = project.fit(), len(project.round_figures())
-    assert corrections(project) == ((), "Nothing was painted since the fit.")
+    assert corrections(project).names == () and corrections(project).why == "Nothing was painted since the fit."
     paint_some(project, family, "chair_0003")
-    assert corrections(project) == (("chair_0003",), "")
+    assert corrections(project) == Corrections(painted=("chair_0003",))
     told = list(run(project, "fit", warm=True, jobs=1))
     after = project.fit()
     assert after.round == before.round + WARM_ROUNDS and any("anew" in progress.message for progress in told)
@@ -571,11 +572,69 @@ def test_a_refit_that_cannot_be_says_why_and_starts_anew(done: Project, family: 
     project = copy_of(done, tmp_path / "p")
     exemplar = project.names[project.groups.exemplars[0]]
     before = project.fit().round
+    project.set_part_names(replace(project.part_names, names=("other", *project.part_names.names[1:])))
     paint_some(project, family, exemplar)
-    assert exemplar in corrections(project)[1]
+    assert corrections(project).why == "The parts are others than in the fit."
     told = [progress.message for progress in run(project, "fit", warm=True, jobs=1)]
-    assert any(f"starts anew: {exemplar} is an exemplar" in message for message in told)
+    assert any("starts anew: The parts are others" in message for message in told)
     assert project.fit().round == before
+
+
+def test_a_repainted_exemplar_makes_its_templates_again_and_old_rounds_keep_their_figures(
+    done: Project, family: Path, tmp_path: Path
+) -> None:
+    project = copy_of(done, tmp_path / "p")
+    exemplar = project.names[project.groups.exemplars[0]]
+    faces = project.labels(exemplar)
+    largest, second = np.argsort(-np.bincount(faces))[:2]
+    project.set_labels(exemplar, np.where(faces == largest, second, faces).astype(np.int32))
+    assert corrections(project) == Corrections((exemplar,), (exemplar,))
+    before, rounds = project.fit(), len(project.round_figures())
+    last(run(project, "fit", warm=True, jobs=1))
+    after = project.fit()
+    assert after.round > before.round and len(project.round_figures()) == rounds + after.round - before.round
+    template = next(one for one in after.templates if one.source == exemplar)
+    assert largest not in template.label and second in template.label
+    figures = project.round_figures()
+    of_it = [g for g, one in enumerate(after.templates) if one.source == exemplar]
+    assert all(not np.isin(one["template"], of_it).any() for one in figures[: rounds - 1]), "others"
+    assert np.isfinite([one["energy"] for one in figures[1:]]).all()
+    assert states(project)["fit"] == "done"
+
+
+def test_new_shapes_are_taken_into_a_fit_whose_exemplars_stay(done: Project, family: Path, tmp_path: Path) -> None:
+    project = copy_of(done, tmp_path / "p")
+    exemplars = [project.names[t] for t in project.groups.exemplars]
+    before, rounds = project.fit(), len(project.round_figures())
+    points = {name: project.beliefs(name).deformed for name in project.names}
+    write_family(tmp_path / "more", "chairs", 2, seed=91)
+    for number, file in enumerate(sorted((tmp_path / "more").glob("*.obj"))):
+        file.rename(file.with_name(f"a_new_{number}.obj"))  # they come first: every other shape gets another number
+    last(run(project, "import", meshes=[tmp_path / "more"]))
+    assert corrections(project).new == ("a_new_0", "a_new_1") and not corrections(project).why
+    told = list(run(project, "fit", warm=True, jobs=1))
+    assert [project.names[t] for t in project.groups.exemplars] == exemplars, "painted exemplars stay"
+    assert any("found anew" in progress.message for progress in told)
+    assert project.fit().round == before.round + WARM_ROUNDS and project.fit_names == project.names
+    assert len(project.round_figures()) == rounds + WARM_ROUNDS
+    recorded = [len(one) for one in project.rounds("a_new_0")]
+    assert recorded[: rounds - 1] == [0] * (rounds - 1) and min(recorded[rounds - 1 :]) > 0
+    moved = [np.linalg.norm(project.beliefs(name).deformed - old, axis=1).mean() for name, old in points.items()
+             if len(project.beliefs(name).deformed) == len(old)]  # fmt: skip
+    assert len(moved) == len(points) and np.median(moved) < 0.03
+    assert states(project)["fit"] == "done" and corrections(project).names == ()
+
+
+def test_a_shape_turned_since_the_fit_is_found_anew(done: Project, tmp_path: Path) -> None:
+    project = copy_of(done, tmp_path / "p")
+    exemplars = {int(t) for t in project.groups.exemplars}
+    name = next(name for t, name in enumerate(project.names) if t not in exemplars)
+    turn_by_hand(project, {name: np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])})
+    assert corrections(project).new == (name,)
+    last(run(project, "fit", warm=True, jobs=1))
+    beliefs, shape = project.beliefs(name), project.shapes.named(name)
+    gap = np.linalg.norm(beliefs.deformed[:, None] - shape.points[None], axis=2).min(axis=1)
+    assert np.median(gap) < 0.02, "the templates lie on the surface as it is now"
 
 
 def test_a_shape_corrected_after_an_automatic_start_is_evidence(grouped: Project, family: Path, tmp_path: Path) -> None:
@@ -586,7 +645,7 @@ def test_a_shape_corrected_after_an_automatic_start_is_evidence(grouped: Project
     name = next(name for t, name in enumerate(project.names) if t not in exemplars)
     faces = project.face_labels(name)
     project.set_labels(name, np.where(np.arange(len(faces)) % 5 == 0, (faces + 1) % 3, -1).astype(np.int32))
-    assert starting_parts(project)[2] is not None and corrections(project) == ((name,), "")
+    assert starting_parts(project)[2] is not None and corrections(project) == Corrections((name,))
     last(run(project, "fit", warm=True, jobs=1))
     painted = project.labels(name)
     assert (project.face_labels(name)[painted >= 0] == painted[painted >= 0]).mean() > 0.9

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -363,7 +364,91 @@ def test_threads_of_one_project_may_write_together(project: Project) -> None:
 
 def test_painting_history_comes_back(project: Project) -> None:
     history = {"done": [{"label": "leg", "faces": np.arange(3), "before": np.zeros(3, np.int32)}], "at": 1}
-    project.write_history("a", history)
+    project.set_painting({}, {"a": history})
     assert same(project.read_history("a"), history) and project.read_history("b") is None
-    (project.path / "history" / "a.zarr.zip").write_bytes(b"PK")
+    next((project.path / "history" / "a").glob("*.zarr.zip")).write_bytes(b"PK")
     assert project.read_history("a") is None
+
+
+def test_labels_and_history_of_an_earlier_version_are_read_and_replaced(project: Project) -> None:
+    project.set_part_names(PartNames((0, 1), ("leg", "seat")))
+    faces = np.array([0, 1, 1, 0, -1], np.int32)
+    project.set_painting({"a": faces}, {"a": {"at": 1}})
+    for kind in ("labels", "history"):
+        file = next((project.path / kind / "a").glob("*.zarr.zip"))
+        file.rename(project.path / kind / "a.zarr.zip")
+    metadata = json.loads((project.path / "project.json").read_text())
+    del metadata["history"]
+    (project.path / "project.json").write_text(json.dumps(metadata))
+    old = Project.open(project.path)
+    assert np.array_equal(old.labels("a"), faces) and old.read_history("a") == {"at": 1}
+    old.set_painting({"a": faces[::-1]}, {"a": {"at": 2}})
+    assert np.array_equal(old.labels("a"), faces[::-1]) and old.read_history("a") == {"at": 2}
+
+
+def test_labels_that_no_longer_count_are_swept_and_a_reader_keeps_those_it_knows(project: Project) -> None:
+    project.set_part_names(PartNames((0, 1, 2), ("leg", "seat", "back")))
+    for part in range(3):
+        reader = Project.open(project.path)
+        project.set_labels("a", np.full(5, part, np.int32))
+        if part:
+            assert np.array_equal(reader.labels("a"), np.full(5, part - 1)), "read before, asked for after"
+        assert len(list((project.path / "labels" / "a").iterdir())) <= 2
+
+
+KILLED_AT = """
+    import os, signal, sys
+    import numpy as np
+    from shapeforge import store_arrays
+    from shapeforge.collection.labels import PartNames
+    from shapeforge.store import Project
+
+    def change(path, at):
+        project, rename, done = Project.open(path), os.replace, 0
+
+        def replace(*paths):
+            nonlocal done
+            done += 1
+            if done == at:
+                os.kill(os.getpid(), signal.SIGKILL)
+            rename(*paths)
+
+        store_arrays.os.replace = replace
+        one = np.zeros(5, np.int32)
+        project.set_painting(
+            {"a": one, "b": one + 1, "c": None}, {"a": {"at": 1}}, part_names=PartNames((3, 2), ("all", "rest")),
+            edits={"done": 1, "edits": []},
+        )
+
+    for at, path in enumerate(sys.argv[1:], start=1):
+        child = os.fork()
+        if child == 0:
+            change(path, at)
+            os._exit(0)
+        print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+
+
+def test_parts_and_labels_change_together_or_not_at_all_wherever_the_process_is_killed(
+    project: Project, tmp_path: Path
+) -> None:
+    project.set_part_names(PartNames((0, 1, 2), ("leg", "seat", "back")))
+    for name in project.names:
+        project.set_labels(name, np.array([0, 1, 2, 2, -1], np.int32))
+    project.set_painting({}, {"a": {"at": 0}})
+
+    def what_is_there(path: Path) -> tuple:
+        found = Project.open(path)
+        faces = {name: None if (one := found.labels(name)) is None else one.tolist() for name in found.names}
+        return found.part_names, faces, found.read_history("a"), found.part_edits
+
+    before = what_is_there(project.path)
+    copies = [str(shutil.copytree(project.path, tmp_path / str(at))) for at in range(1, 6)]
+    command = [sys.executable, "-c", textwrap.dedent(KILLED_AT), *copies]
+    ends = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    assert ends == [str(-signal.SIGKILL)] * 4 + ["0"], "three files, then the one that counts, then no more"
+    found = [what_is_there(tmp_path / str(at)) for at in range(1, 6)]
+    assert all(one == before for one in found[:4])
+    parts, faces, history, edits = found[4]
+    assert parts == PartNames((3, 2), ("all", "rest")) and history == {"at": 1} and edits["done"] == 1
+    assert faces == {"a": [0] * 5, "b": [1] * 5, "c": None}

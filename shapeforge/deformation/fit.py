@@ -151,10 +151,10 @@ def fit_templates(
             seeds if seeds is not None else repeat(None),
         )  # fmt: skip
         of = planned_rounds(rounds, len(templates), family_rounds)
-        told = _told(starts, Within(0, of, 0, len(shapes)))
+        steps = told(starts, Within(0, of, 0, len(shapes)))
         state = FitState(
             0, 0, "affine start", float("nan"), float("nan"), initial_covariances(), float("nan"),
-            np.full(len(part_names), np.nan), templates, tuple((yield from told) if within else _end_of(told)),
+            np.full(len(part_names), np.nan), templates, tuple((yield from steps) if within else end_of(steps)),
         )  # fmt: skip
         state = replace(state, of=_last_round(state, rounds, family_rounds))
         yield state
@@ -164,10 +164,10 @@ def fit_templates(
         first = state.family_from if state.family_from >= 0 else exemplar_rounds(rounds)
         if state.family is None and state.round >= first and len(state.templates) > 1 and family_rounds > 0:
             state = _begin_family(state, shapes, each_shape, painted, executor)
-        told = _one_round(
+        steps = _one_round(
             state, shapes, each_shape, groups, painted, seeds, rounds, family_rounds, inner, executor, prior
         )
-        state = (yield from told) if within else _end_of(told)
+        state = (yield from steps) if within else end_of(steps)
         yield state
         if state.stop_reason is not None:
             return
@@ -191,7 +191,7 @@ def exemplar_rounds(rounds: int) -> int:
     return max(1, round(EXEMPLARS_SHARE * rounds))
 
 
-def _told(results: Iterable[Any], start: Within) -> Generator[Within, None, list[Any]]:
+def told(results: Iterable[Any], start: Within) -> Generator[Within, None, list[Any]]:
     """A list of the results; after each but the last, how far it is."""
     found = []
     for result in results:
@@ -201,7 +201,7 @@ def _told(results: Iterable[Any], start: Within) -> Generator[Within, None, list
     return found
 
 
-def _end_of(steps: Generator[Within, None, Any]) -> Any:
+def end_of(steps: Generator[Within, None, Any]) -> Any:
     """What a generator returns, nobody being told how far it is."""
     while True:
         try:

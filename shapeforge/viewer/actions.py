@@ -277,7 +277,8 @@ def _stage_actions(actions: Actions) -> list[Action]:
 
     def refit_enabled(session: Session) -> Verdict:
         can, why = needs_rest(session)
-        return corrected(session)[1] if can else (can, why)
+        why = corrected(session).why if can else why
+        return not why, why
 
     def is_done(stage: str) -> bool:
         found = stage_status(actions.session).get(stage)
@@ -298,7 +299,7 @@ def _stage_actions(actions: Actions) -> list[Action]:
         Action("fit", "Run", run_or_pause, fit_enabled, "Space",
                "Fit the part templates to every shape; it can be paused and goes on where it was", "play", "fit"),
         Action("refit", "Refit from here", lambda session: actions.start_stage("fit", warm=True), refit_enabled,
-               "Shift+R", "Find the corrected shapes anew and go on with all others from where they are", "swap",
+               "Shift+R", "Find what is new or corrected, and go on with all others from where they are", "swap",
                "fit"),
         Action("step", "Step", step, fit_enabled, ".", "One round, then pause", "step", "fit"),
         Action("stop", "Stop", lambda session: actions.desk.control("stop"), running, "Ctrl+.",

@@ -93,14 +93,18 @@ class FitRecord:
         return self.rounds[self.newest].of if self.rounds else 0
 
     def points(self, name: str, number: int) -> FittedPoints | None:
-        """Template points of a shape after a round, None when they were not recorded."""
+        """Template points of a shape after a round; None when they were not recorded, or the templates made anew."""
+        one = self._points(name, number)
+        return one if look_at(self, one) is not None else None
+
+    def _points(self, name: str, number: int) -> FittedPoints | None:
         known = self.rounds.get(number)
         if known is not None and name in known.points:
             return known.points[name]
         if self.state is not None and not number <= self._on_disk < self.state.round:
-            if number != self.state.round or name not in self.project.names:
+            if number != self.state.round or name not in self._names:
                 return None
-            one = fitted_points(all_beliefs(self.state, self.project.names.index(name)), self.looks)
+            one = fitted_points(all_beliefs(self.state, self._names.index(name)), self.looks)
             self.rounds[number].points[name] = one
             return one
         recorded = self._read(name)
@@ -130,8 +134,8 @@ class FitRecord:
 
     def beliefs(self, name: str) -> Any | None:
         """The newest beliefs about a shape."""
-        if self.state is not None and name in self.project.names:
-            return all_beliefs(self.state, self.project.names.index(name))
+        if self.state is not None and name in self._names:
+            return all_beliefs(self.state, self._names.index(name))
         return self.project.beliefs(name)
 
     def off_on(self, part: int) -> tuple[str, ...]:
@@ -172,10 +176,11 @@ def lent_parts(state: Any, index: int) -> frozenset[int]:
 
 
 def look_at(record: FitRecord, points: FittedPoints | None) -> TemplateLook | None:
-    """The template that points are of, None when it is not known."""
+    """The template that points are of, None when it is not known or has other points by now."""
     if points is None or not 0 <= points.template < len(record.looks):
         return None
-    return record.looks[points.template]
+    look = record.looks[points.template]
+    return look if len(look.label) == len(points.positions) else None
 
 
 def moved_text(record: FitRecord, name: str, number: int) -> tuple[str, bool]:

@@ -16,7 +16,7 @@ from shapeforge.viewer.display import Mark, MeshLayer, View, face_colours
 from shapeforge.viewer.first_parts import ProposedEdits, are_proposed
 from shapeforge.viewer.painting import PaintState, paint_state
 from shapeforge.viewer.palette import label_colours, pale
-from shapeforge.viewer.part_edits import PaintHistory, PartEdits, clock
+from shapeforge.viewer.part_edits import Open, PaintHistory, PartEdits, clock
 from shapeforge.viewer.part_table import PartTable
 from shapeforge.viewer.session import Session
 
@@ -90,13 +90,12 @@ class Painter:
 
     def _proposed_faces(self, name: str) -> Int[np.ndarray, " F"] | None:
         """The proposed part (F,) of every face: that of the nearest sample."""
-        from shapeforge.stages_collection import read_proposal
+        from shapeforge.stages_collection import proposed_points
 
         project = self.session.project
         folder = project.current_folder("cosegment")
         if self._proposal is None or self._proposal[0] != folder:
-            found = read_proposal(project)
-            self._proposal = folder, None if found is None else [one.argmax(axis=1) for one in found.segmentation]
+            self._proposal = folder, proposed_points(project)
         index, labels = project.index(name), self._proposal[1]
         if labels is None or index >= len(labels) or len(labels[index]) != len(self.shape.points):
             return None
@@ -124,9 +123,8 @@ class Painter:
             return False
         self.state.end()
         labels = self.state.labels.copy()
-        project = self.session.project
-        project.set_labels(self.name, labels if (labels >= 0).any() else None)
-        project.write_history(self.name, self.state.to_record())
+        faces = labels if (labels >= 0).any() else None
+        self.session.project.set_painting({self.name: faces}, {self.name: self.state.to_record()})
         self._remember_saved()
         return True
 
@@ -175,6 +173,11 @@ class Painter:
         return are_proposed(self.session) and not (self.state.labels >= 0).any()
 
     @property
+    def proposed_faces(self) -> Int[np.ndarray, " F"] | None:
+        """The proposed part (F,) of every face, as long as parts are only proposed; else None."""
+        return self._suggested if self._are_proposed else None
+
+    @property
     def edits(self) -> PartEdits:
         """The parts and the history of changing them, read anew when somebody else changed them."""
         project = self.session.project
@@ -183,11 +186,11 @@ class Painter:
             kept = self._edits = PartEdits(project)
         return kept
 
-    def change_parts(self, change: Callable[[str | None], None]) -> None:
-        """Have ``change(name of the shape being painted)`` change the parts; all that is shown here follows."""
+    def change_parts(self, change: Callable[[Open], None]) -> None:
+        """Have ``change(the shape being painted)`` change the parts; all that is shown here follows."""
         self.state.end()
         before, part = self.edits.table, self.session.part
-        change(self.name)
+        change(None if self.name is None else (self.name, self.state))
         after = self.edits.table
         self.state.set_table(after)
         where = after.part_of
@@ -202,7 +205,7 @@ class Painter:
         self.state.end()
         self.state.forget_undone()
         when = clock(self.state, self.edits)
-        self.change_parts(lambda name: self.edits.do(kind, label, after, when, name))
+        self.change_parts(lambda open_one: self.edits.do(kind, label, after, when, open_one))
 
     def add_part(self, name: str) -> int:
         """Add a part to the family; returns its index.  Raises ValueError when the name is empty or taken."""
@@ -347,8 +350,8 @@ class Painter:
         hidden = self.hidden_parts
         inks = self.session.project.part_inks()
         colours = face_colours(labels, inks)
-        if self._suggested is not None and self._are_proposed:
-            colours = pale(label_colours(self._suggested, inks), np.full(len(labels), SUGGESTED))
+        if (proposed := self.proposed_faces) is not None:
+            colours = pale(label_colours(proposed, inks), np.full(len(labels), SUGGESTED))
         colours = colours[self.mesh.face_of_triangle]
         gone = np.isin(labels, list(hidden))[self.mesh.face_of_triangle] if hidden else None
         key = None if gone is None else gone.tobytes()

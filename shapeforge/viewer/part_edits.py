@@ -23,6 +23,10 @@ ICONS: dict[str, str] = {
 """Kinds of edits, and the icon that stands for each."""
 
 
+Open = tuple[str, PaintState] | None
+"""Name and painting of the shape that is being painted, None when there is none."""
+
+
 @dataclass(frozen=True)
 class PartEdit:
     """One change of the parts: from the table ``before`` to ``after``; ``when`` orders it among strokes."""
@@ -81,58 +85,59 @@ class PartEdits:
         tables = [self.table, *(table for edit in self.edits for table in (edit.before, edit.after))]
         return 1 + max((identity for table in tables for identity in (*table.ids, *table.joined)), default=-1)
 
-    def do(self, kind: str, label: str, after: PartTable, when: int, but: str | None) -> None:
-        """Change the parts; what had been undone is forgotten.  ``but`` is the shape being painted (see ``put``)."""
+    def do(self, kind: str, label: str, after: PartTable, when: int, open_one: Open) -> None:
+        """Change the parts; what had been undone is forgotten.  ``open_one`` is being painted (see ``put``)."""
         edit = PartEdit(kind, label, when, self.table, after)
         edits = [*self.edits[: self.done], edit][-EDITS_LIMIT:]
-        self.put(after, edits, len(edits), but)
+        self.put(after, edits, len(edits), open_one)
 
-    def take_back(self, but: str | None) -> None:
+    def take_back(self, open_one: Open) -> None:
         """Take the last edit back, if any."""
         if self.last is not None:
-            self.put(self.last.before, self.edits, self.done - 1, but)
+            self.put(self.last.before, self.edits, self.done - 1, open_one)
 
-    def do_again(self, but: str | None) -> None:
+    def do_again(self, open_one: Open) -> None:
         """Do the next edit again, if any."""
         if self.next is not None:
-            self.put(self.next.after, self.edits, self.done + 1, but)
+            self.put(self.next.after, self.edits, self.done + 1, open_one)
 
     def forget_undone(self) -> None:
         """What had been undone cannot be done again: something new was done instead."""
         if self.next is not None:
             self.put(self.table, self.edits[: self.done], self.done, None)
 
-    def put(self, table: PartTable, edits: list[PartEdit], done: int, but: str | None) -> None:
-        """Have ``table`` for the parts; labels of all shapes follow, save those of the shape ``but``: whoever paints it
-        holds them."""
+    def put(self, table: PartTable, edits: list[PartEdit], done: int, open_one: Open) -> None:
+        """Have ``table`` for the parts; the labels of all shapes follow, in one step with them.
+
+        ``open_one`` is the shape that is being painted, and its painting, which may not be saved yet."""
         record = {"done": done, "edits": [_record(edit) for edit in edits]}
-        changed = self._relabelled(table, but) if table.part_of != self.table.part_of else []
-        grows = len(table.ids) >= len(self.table.ids)
-        if grows:
-            self.project.set_part_names(table.named, record)
-        for name, state in changed:
-            labels = state.labels.copy()
-            self.project.set_labels(name, labels if (labels >= 0).any() else None)
-            self.project.write_history(name, state.to_record())
-        if not grows:
-            self.project.set_part_names(table.named, record)
+        changed = self._relabelled(table, open_one) if table.part_of != self.table.part_of else []
+        labels = {name: state.labels.copy() for name, state in changed}
+        self.project.set_painting(
+            {name: faces if (faces >= 0).any() else None for name, faces in labels.items()},
+            {name: state.to_record() for name, state in changed},
+            part_names=table.named, edits=record,
+        )  # fmt: skip
         self.table, self.edits, self.done = table, edits, done
 
-    def _relabelled(self, table: PartTable, but: str | None) -> list[tuple[str, PaintState]]:
+    def _relabelled(self, table: PartTable, open_one: Open) -> list[tuple[str, PaintState]]:
         """Paintings that mean something else by ``table``, each counted by it already."""
         lost_or_won = {identity for identity, _ in table.part_of.items() ^ self.table.part_of.items()}
         if not lost_or_won & self._ever_painted(table):
             return []
         found = []
         for name in self.project.names:
-            labels = self.project.labels(name)
-            record = self.project.read_history(name)
-            if name == but or (labels is None and record is None):
+            unsaved = open_one is not None and name == open_one[0]
+            if unsaved:
+                labels, record = open_one[1].labels.copy(), open_one[1].to_record()
+            else:
+                labels, record = self.project.labels(name), self.project.read_history(name)
+            if labels is None and record is None:
                 continue
             state = paint_state(self.project.shape_record(name)["n_faces"], labels, record, self.table)
             before = state.labels
             state.set_table(table)
-            if (state.labels != before).any():
+            if unsaved or (state.labels != before).any():
                 found.append((name, state))
         return found
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 from shapeforge.viewer.session import Session
+
+if TYPE_CHECKING:
+    from shapeforge.stages_status import Corrections
 
 Verdict = tuple[bool, str]
 YES: Verdict = (True, "")
@@ -103,12 +106,11 @@ def rounds_text(session: Session, rounds: int) -> str:
     return f"{whole} rounds ({first} of the exemplars' templates, {whole - first} of the family's)"
 
 
-def corrected(session: Session) -> tuple[tuple[str, ...], Verdict]:
-    """Names of the shapes that were painted otherwise since the fit, and whether it can be taken up again with them."""
+def corrected(session: Session) -> Corrections:
+    """The shapes that changed since the fit, and why it cannot be taken up again with them ("": it can)."""
     from shapeforge import stages_status
 
-    names, why = stages_status.corrections(session.project)
-    return names, (False, why) if why else YES
+    return stages_status.corrections(session.project)
 
 
 _groups_read: WeakKeyDictionary[Any, tuple[Any, Any]] = WeakKeyDictionary()

@@ -158,10 +158,15 @@ def make_group(session: Session) -> None:
 
 def can_merge(session: Session) -> Verdict:
     """There is another group to merge the current one into."""
+    return _beside_others(session, "There is only one group.")
+
+
+def _beside_others(session: Session, alone: str) -> Verdict:
+    """There are other groups than the current one, else ``alone`` is why not."""
     can, why = _can_change(session, shapes=False)
     if not can:
         return can, why
-    return YES if len(groups_of(session)) > 1 else (False, "There is only one group.")
+    return YES if len(groups_of(session)) > 1 else (False, alone)
 
 
 def merge_into(session: Session, g: int) -> None:
@@ -176,10 +181,7 @@ def merge_into(session: Session, g: int) -> None:
 
 def can_leave_group(session: Session) -> Verdict:
     """There is another group left when the current one goes."""
-    can, why = _can_change(session, shapes=False)
-    if not can:
-        return can, why
-    return YES if len(groups_of(session)) > 1 else (False, "It is the only group: nothing would be left to fit.")
+    return _beside_others(session, "It is the only group: nothing would be left to fit.")
 
 
 def leave_group_out(session: Session) -> None:

@@ -1,6 +1,8 @@
-"""A fit taken up again: the corrected shape follows its paint, the others keep what they had."""
+"""A fit taken up again: what was corrected, repainted or is new is found, the rest keeps what it had."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +11,14 @@ from shapeforge.collection.families import generate
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.prepare import prepare_shape
 from shapeforge.deformation.fit import fit_templates
-from shapeforge.deformation.warm import WARM_ROUNDS, corrected_shapes, refit_templates, why_not_warm
+from shapeforge.deformation.warm import (
+    FAMILY_ROUNDS,
+    WARM_ROUNDS,
+    corrected_shapes,
+    gathered,
+    refit_templates,
+    why_not_warm,
+)
 
 SHAPES, WRONG, POINTS = 6, 2, 600
 
@@ -100,7 +109,111 @@ def test_it_says_why_a_fit_has_to_start_anew(family):
     assert "other shapes" in why_not_warm(state, shapes[:-1], groups, labels, names)
     moved = Groups(groups.names, groups.group, np.array([1, 4]), groups.embedding)
     assert "exemplars" in why_not_warm(state, shapes, moved, labels, names)
-    repainted = {**labels, 0: np.where(truth[0] == 0, 1, truth[0]).astype(np.int32)}
-    assert shapes[0].name in why_not_warm(state, shapes, groups, repainted, names)
+    unpainted = {t: faces for t, faces in labels.items() if t != 4}
+    assert f"{shapes[4].name} is an exemplar, and is no longer" in why_not_warm(state, shapes, groups, unpainted, names)
+    third = Groups(("a", "b", "c"), np.array([0, 0, 0, 2, 1, 1]), np.array([0, 4, 3]), groups.embedding)
+    assert "had no templates" in why_not_warm(state, shapes, third, {**labels, 3: truth[3]}, names)
+    parts = np.bincount(truth[4][shapes[4].face_of_point])
+    lacking = {**labels, 4: np.where(truth[4] == parts.argmax(), -1, truth[4]).astype(np.int32)}
+    assert why_not_warm(state, shapes, groups, lacking, names) == "", "paint may go"
+    bare = family_without(family, state, parts.argmax())
+    assert f"Much of {shapes[4].name} was unpainted" in why_not_warm(bare, shapes, groups, labels, names)
+    other = [replace(shapes[0], descriptors=shapes[0].descriptors + 1.0), *shapes[1:]]
+    repainted = {**labels, 0: np.zeros_like(truth[0])}
+    assert "read anew" in why_not_warm(state, other, groups, repainted, names)
+    forgotten = gathered(state, ["" if t == 0 else one.name for t, one in enumerate(shapes)], of_names(shapes))
+    assert "read anew" in why_not_warm(forgotten, shapes, groups, labels, names)
     with pytest.raises(ValueError, match="Fit from the start"):
-        next(refit_templates(state, shapes, groups, repainted, names, rng=np.random.default_rng(0)))
+        next(refit_templates(state, shapes, moved, labels, names, rng=np.random.default_rng(0)))
+
+
+def family_without(family, state, part: int):
+    """The first state of a fit whose second exemplar had no such part, in the place of ``state``."""
+    shapes, groups, truth, names, *_ = family
+    labels = {0: truth[0], 4: np.where(truth[4] == part, -1, truth[4]).astype(np.int32)}
+    return next(fit_templates(shapes, groups, labels, names, rounds=6, rng=np.random.default_rng(0)))
+
+
+def of_names(shapes) -> list[str]:
+    return [shape.name for shape in shapes]
+
+
+def share_of_all(family, state) -> list[float]:
+    """Share of the points of every shape whose probable part is the true one."""
+    shapes, _, truth, *_ = family
+    return [
+        float((one.segmentation.argmax(axis=1) == truth[t][shapes[t].face_of_point]).mean())
+        for t, one in enumerate(state.beliefs)
+    ]
+
+
+@pytest.fixture(scope="module")
+def badly_painted(family):
+    """The same chairs, fitted with the two largest parts of the first exemplar painted as each other."""
+    shapes, groups, truth, names, *_ = family
+    a, b = np.argsort(-np.bincount(truth[0][shapes[0].face_of_point]))[:2]
+    bad = np.select([truth[0] == a, truth[0] == b], [b, a], truth[0]).astype(np.int32)
+    labels, rng = {0: bad, 4: truth[4]}, np.random.default_rng(0)
+    return list(fit_templates(shapes, groups, labels, names, rounds=6, rng=rng))[-1]
+
+
+def repaint(family, state, **options):
+    shapes, groups, truth, names, *_ = family
+    labels, rng = {0: truth[0], 4: truth[4]}, np.random.default_rng(0)
+    return list(refit_templates(state, shapes, groups, labels, names, rng=rng, **options))
+
+
+def test_an_exemplar_painted_otherwise_gives_new_templates_and_all_shapes_follow(family, badly_painted):
+    shapes, _, truth, names, *_ = family
+    states = repaint(family, badly_painted)
+    after, first = states[-1], states[0]
+    assert np.mean(share_of_all(family, badly_painted)) < 0.7
+    assert np.mean(share_of_all(family, after)) > 0.85 and np.min(share_of_all(family, after)) > 0.7
+    assert [state.round for state in states] == list(range(first.round, first.of + 1))
+    assert after.round == badly_painted.round + WARM_ROUNDS + FAMILY_ROUNDS and after.stop_reason
+    template = first.templates[0]
+    counts = np.bincount(truth[0][shapes[0].face_of_point], minlength=len(names))
+    assert np.array_equal(np.bincount(template.label, minlength=len(names)), counts), "made of the paint of now"
+    assert after.templates[1].source == badly_painted.templates[1].source and len(after.templates) == 3
+
+
+def test_carried_templates_lie_where_the_old_ones_did_before_any_round(family, badly_painted):
+    first = repaint(family, badly_painted)[0]
+    for t in range(1, SHAPES):
+        old = [one.beliefs for one in badly_painted.candidates[t] if one.beliefs.template == 0 and not one.family]
+        new = [one.beliefs for one in first.candidates[t] if one.beliefs.template == 0]
+        assert len(old) == len(new)
+        for before, now in zip(old, new, strict=True):
+            assert np.allclose(
+                np.sort(now.deformed.astype(float), axis=0), np.sort(before.deformed.astype(float), axis=0), atol=1e-6
+            )
+
+
+def test_a_repaint_stopped_after_any_state_goes_on_to_the_same_end(family, badly_painted):
+    whole = repaint(family, badly_painted)
+    for stopped in (whole[0], whole[WARM_ROUNDS], whole[-2]):
+        end = repaint(family, stopped)[-1]
+        for one, other in zip(end.beliefs, whole[-1].beliefs, strict=True):
+            assert np.array_equal(one.deformed, other.deformed)
+
+
+def test_shapes_that_came_since_are_explained_and_the_others_keep_theirs(family):
+    shapes, groups, truth, names, *_ = family
+    kept = [0, 1, 3, 4]
+    few = Groups(groups.names, groups.group[kept], np.array([0, 3]), groups.embedding[kept])
+    painted, rng = {0: truth[0], 3: truth[4]}, np.random.default_rng(0)
+    before = list(fit_templates([shapes[t] for t in kept], few, painted, names, rounds=6, rng=rng))[-1]
+    start = gathered(before, [shapes[t].name for t in kept], of_names(shapes))
+    labels = {0: truth[0], 4: truth[4]}
+    assert corrected_shapes(start, shapes, labels) == (2, 5) and not why_not_warm(start, shapes, groups, labels, names)
+    told = []
+    states = []
+    for step in refit_templates(start, shapes, groups, labels, names, rng=np.random.default_rng(0), within=True):
+        (states if hasattr(step, "templates") else told).append(step)
+    assert (told[0].round, told[0].shape, told[0].of_shapes) == (before.round, 1, 2)
+    assert states[-1].round == before.round + WARM_ROUNDS
+    right = share_of_all(family, states[-1])
+    assert min(right[2], right[5]) > 0.75, "the new ones"
+    for i, t in enumerate(kept):
+        moved = np.linalg.norm(states[-1].beliefs[t].deformed - before.beliefs[i].deformed, axis=1)
+        assert np.median(moved) < 0.02

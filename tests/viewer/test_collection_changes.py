@@ -97,13 +97,13 @@ def test_a_group_is_split_and_merged_again(window, place, qtbot):
     project = place.session.project
     g, exemplar, _ = two_of_a_group(project)
     called, count = project.groups.names[g], len(project.groups)
-    qtbot.mouseClick(place.group_rows[g], LEFT)
+    qtbot.mouseClick(place.groups.rows[g], LEFT)
     qtbot.keyClick(place.map, Qt.Key.Key_S)
-    assert len(project.groups) == count + 1 == len(place.group_rows)
+    assert len(project.groups) == count + 1 == len(place.groups.rows)
     assert project.names[project.groups.exemplars[project.groups.names.index(called)]] == exemplar
     assert stages.status(Project.open(project.path))["group"].state == "done"
     fresh = window.session.group
-    qtbot.mouseClick(place.group_rows[fresh], LEFT)
+    qtbot.mouseClick(place.groups.rows[fresh], LEFT)
     qtbot.keyClick(place.map, Qt.Key.Key_M)
     choose(qtbot, place.menus, called)
     assert len(project.groups) == count
@@ -242,7 +242,7 @@ def test_a_turn_about_something_else_leaves_the_comparison_alone(window, place, 
 
 def test_escape_gives_up_choosing_and_then_the_selection(window, place, qtbot):
     g, _, other = two_of_a_group(place.session.project)
-    qtbot.mouseClick(place.group_rows[g], LEFT)
+    qtbot.mouseClick(place.groups.rows[g], LEFT)
     qtbot.mouseClick(place.choose_button, LEFT)
     assert place.choosing
     qtbot.keyClick(place.map, Qt.Key.Key_Escape)
@@ -258,7 +258,7 @@ def test_a_whole_group_is_left_out_with_its_exemplar(window, place, qtbot):
         window.actions_table.run("split_group")
     before = project.groups
     g, exemplar, _ = two_of_a_group(project)
-    qtbot.mouseClick(place.group_rows[g], LEFT)
+    qtbot.mouseClick(place.groups.rows[g], LEFT)
     qtbot.keyClick(place.map, Qt.Key.Key_L, Qt.KeyboardModifier.ShiftModifier)
     assert len(project.groups) == len(before) - 1 and before.names[g] not in project.groups.names
     assert project.groups.group[project.names.index(exemplar)] == -1

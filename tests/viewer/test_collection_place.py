@@ -167,16 +167,16 @@ def test_dragging_pans_and_the_wheel_zooms_at_the_pointer(place, qtbot):
     moved = QPointF(spot(place, name)) - before
     assert abs(moved.x() - 60) <= 2 and abs(moved.y() - 40) <= 2
     fixed = place.map.at(0)
-    tile = place.map._tile
+    tile = place.map.tile
     from PySide6.QtGui import QWheelEvent
 
     event = QWheelEvent(fixed, place.map.mapToGlobal(fixed), QPoint(), QPoint(0, 120), Qt.MouseButton.NoButton,
                         Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase, False)  # fmt: skip
     place.map.wheelEvent(event)
-    assert place.map._tile > tile
+    assert place.map.tile > tile
     assert (place.map.at(0) - fixed).manhattanLength() < 1e-6
     qtbot.keyClick(place.map, Qt.Key.Key_Home)
-    assert abs(place.map._tile - tile) < 1e-9
+    assert abs(place.map.tile - tile) < 1e-9
 
 
 def test_pictures_of_the_shapes_arrive_in_the_groups_colour(window, place, qtbot):
@@ -185,7 +185,7 @@ def test_pictures_of_the_shapes_arrive_in_the_groups_colour(window, place, qtbot
     image = place.map.grab().toImage()
     ratio = image.devicePixelRatio()
     for t, _ in enumerate(place.session.project.names):
-        at, half = place.map.at(t), place.map._tile * 0.35
+        at, half = place.map.at(t), place.map.tile * 0.35
         wanted = np.array(rgb(GROUPS[int(groups.group[t])]), float)
         hue = wanted - wanted.mean()
         found = 0
@@ -226,7 +226,7 @@ def test_the_selected_shape_becomes_the_exemplar(window, place, qtbot):
 def test_choosing_another_exemplar_on_the_map(window, place, qtbot):
     project = place.session.project
     g, exemplar, other = two_of_a_group(project)
-    qtbot.mouseClick(place.group_rows[g], LEFT)
+    qtbot.mouseClick(place.groups.rows[g], LEFT)
     qtbot.mouseClick(place.choose_button, LEFT)
     assert place.choosing and project.groups.names[g] in place.hint.text()
     qtbot.mouseClick(place.map, LEFT, pos=spot(place, other))
@@ -257,11 +257,11 @@ def test_the_hover_card_says_what_it_is(place):
 
 def test_groups_are_listed_with_their_numbers(place, qtbot):
     groups = place.session.project.groups
-    assert len(place.group_rows) == len(groups) == int(place.group_count.text())
+    assert len(place.groups.rows) == len(groups) == int(place.groups.count.text())
     for g in reversed(range(len(groups))):
-        qtbot.mouseClick(place.group_rows[g], LEFT)
+        qtbot.mouseClick(place.groups.rows[g], LEFT)
         assert groups.names[g] in place.exemplar_title.text()
-        assert [one.property("current") for one in place.group_rows].count("true") == 1
+        assert [one.property("current") for one in place.groups.rows].count("true") == 1
 
 
 def test_files_not_read_are_named_with_the_reason(place, qtbot):
@@ -323,17 +323,17 @@ def test_a_group_is_renamed_in_place_and_nothing_goes_stale(open_window, fitted,
     window = open_window(fitted)
     place, session = window.places["collection"], window.session
     before = fitted.groups.names[0]
-    qtbot.mouseDClick(place.group_rows[0], LEFT)
-    editor = place.group_rows[0].findChild(EditableName).editor
+    qtbot.mouseDClick(place.groups.rows[0], LEFT)
+    editor = place.groups.rows[0].findChild(EditableName).editor
     qtbot.waitUntil(editor.hasFocus)
     qtbot.keyClicks(editor, "Side  chairs")
     qtbot.keyClick(editor, Qt.Key.Key_Return)
     qtbot.waitUntil(lambda: fitted.groups.names[0] == "Side chairs")
     assert place.exemplar_title.text() == "Exemplar of Side chairs"
-    assert place.group_rows[0].findChild(EditableName).text() == "Side chairs"
+    assert place.groups.rows[0].findChild(EditableName).text() == "Side chairs"
     assert stages.status(Project.open(fitted.path))["fit"].state == "done"
     session.undo()
-    assert fitted.groups.names[0] == before == place.group_rows[0].findChild(EditableName).text()
+    assert fitted.groups.names[0] == before == place.groups.rows[0].findChild(EditableName).text()
 
 
 def test_a_group_keeps_its_name_on_escape_and_without_a_name(open_window, fitted, qtbot):
@@ -343,7 +343,7 @@ def test_a_group_keeps_its_name_on_escape_and_without_a_name(open_window, fitted
     place.map.setFocus()
     for key in (Qt.Key.Key_Escape, Qt.Key.Key_Return):
         qtbot.keyClick(place.map, Qt.Key.Key_F2)
-        editor = place.group_rows[place.session.group].findChild(EditableName).editor
+        editor = place.groups.rows[place.session.group].findChild(EditableName).editor
         qtbot.waitUntil(editor.hasFocus)
         editor.setText("another" if key == Qt.Key.Key_Escape else "  ")
         qtbot.keyClick(editor, key)

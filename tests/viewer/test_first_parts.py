@@ -59,3 +59,20 @@ def test_painted_parts_are_no_longer_proposed_ones(proposed: Session):
     project.set_labels(name, np.zeros(project.shape_record(name)["n_faces"], np.int32))
     can, why = can_edit_proposed(proposed)
     assert not can and "painted" in why
+
+
+def test_a_shape_is_opened_without_reading_the_chances_of_all(proposed: Session, monkeypatch):
+    from shapeforge import stages_collection
+
+    project = proposed.project
+    wanted = [one.argmax(axis=1) for one in read_proposal(project).segmentation]
+    monkeypatch.setattr(stages_collection, "read_proposal", lambda _: pytest.fail("the chances of all are read"))
+    found = stages_collection.proposed_points(project)
+    assert all(np.array_equal(one, other) for one, other in zip(found, wanted, strict=True))
+    painter = Painter(proposed)
+    painter.open(project.names[2])
+    assert painter.proposed_faces is not None and set(painter.proposed_faces) <= set(wanted[2])
+    (project.current_folder("cosegment") / "parts_of_points.zarr.zip").unlink()
+    monkeypatch.undo()
+    found = stages_collection.proposed_points(project)
+    assert all(np.array_equal(one, other) for one, other in zip(found, wanted, strict=True)), "of an earlier version"

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QPushButton
 
-from shapeforge.collection.labels import read_seg
+from shapeforge.collection.families import write_family
+from shapeforge.collection.labels import PartNames, read_seg
 from shapeforge.viewer.qt.fit_panel import FitPlace
 from shapeforge.viewer.readiness import QUALITIES, planned_rounds, rounds_text
 from tests.viewer.paint_hands import hands_of
@@ -69,15 +71,76 @@ def test_a_shape_is_corrected_by_painting_and_refitted_from_there(open_window, f
     assert place.record.points(other, 1) is not None, "the rounds before can still be looked at"
 
 
-def test_a_repainted_exemplar_says_that_it_needs_a_new_fit(open_window, fitted, qtbot):
-    exemplar = fitted.names[int(fitted.groups.exemplars[0])]
-    fitted.set_labels(exemplar, np.zeros(fitted.shape_record(exemplar)["n_faces"], np.int32))
+def test_an_exemplar_is_repainted_in_the_window_and_refitted_from_there(open_window, fitted, qtbot):
+    exemplar, before = fitted.names[int(fitted.groups.exemplars[0])], fitted.fit().round
+    window = open_window(fitted, "fit")
+    session, place = window.session, place_of(window)
+    session.shape = exemplar
+    qtbot.mouseClick(place.correction.correct, LEFT)
+    hands = hands_of(window, qtbot)
+    face = int(hands.visible()[0])
+    session.tool, session.part = "piece", int(hands.labels[face] == 0)
+    hands.click(face)
+    painted = hands.labels.copy()
+    session.place = "fit"
+    place._show_all()
+    qtbot.waitUntil(place.correction.refit.isVisible)
+    assert f"Repainted: {exemplar}" in place.correction.words.text() and not place.correction.anew.isVisible()
+    offered = [one.text() for one in place.report.findChildren(QPushButton) if one.isVisible()]
+    assert "Refit from here" in offered and "Run it again" not in offered
+    qtbot.mouseClick(place.correction.refit, LEFT)
+    qtbot.waitUntil(lambda: not session.running, timeout=LONG)
+    assert session.status_kind == "ok", session.status
+    after = fitted.fit()
+    assert after.round > before and place.record.newest == after.round
+    template = next(one for one in after.templates if one.source == exemplar)
+    on = fitted.shapes.named(exemplar).face_of_point
+    assert np.array_equal(np.bincount(template.label, minlength=8), np.bincount(painted[on], minlength=8))
+    for number in (1, after.round):  # rounds of the templates before have no points any more; looking at them is safe
+        place.look_back(number)
+        place._show_all()
+    assert place.record.points(exemplar, after.round) is not None
+
+
+def test_where_a_fit_cannot_be_taken_up_the_window_says_why_and_offers_a_new_one(open_window, fitted, qtbot):
+    name = not_an_exemplar(fitted)
     window = open_window(fitted, "fit")
     place = place_of(window)
+    fitted.set_part_names(PartNames((*fitted.part_names.ids, 90), (*fitted.part_names.names, "wing")))
+    fitted.set_labels(name, np.zeros(fitted.shape_record(name)["n_faces"], np.int32))
     window.session.touch("labels")
+    qtbot.waitUntil(place.correction.anew.isVisible)
+    assert not place.correction.refit.isVisible()
+    assert place.correction.words.text().startswith("The parts are others than in the fit. So it cannot")
+    assert name in place.correction.words.text()
+    qtbot.mouseClick(place.correction.anew, LEFT)
+    qtbot.waitUntil(lambda: not window.session.running, timeout=LONG)
+    assert "wing" in fitted.fit().templates[0].part_names and not place.correction.anew.isVisible()
+
+
+def test_shapes_imported_after_the_fit_are_taken_into_it(open_window, fitted, tmp_path, qtbot):
+    exemplars = {fitted.names[int(t)] for t in fitted.groups.exemplars}
+    before = fitted.fit().round
+    window = open_window(fitted, "fit")
+    session, place = window.session, place_of(window)
+    write_family(tmp_path / "more", "chairs", 1, seed=12)
+    (new,) = (tmp_path / "more").glob("*.obj")
+    new.rename(new.with_name("another.obj"))
+    window.actions_table.import_shapes((tmp_path / "more" / "another.obj",))
+    qtbot.waitUntil(lambda: not session.running, timeout=LONG)
+    assert {fitted.names[int(t)] for t in fitted.groups.exemplars} == exemplars, "painted exemplars stay"
+    session.place = "fit"
+    place._show_all()
     qtbot.waitUntil(place.correction.refit.isVisible)
-    assert not place.correction.refit.isEnabled() and f"{exemplar} is an exemplar" in place.correction.refit.toolTip()
-    assert "Run the fit again" in place.correction.words.text()
+    assert place.correction.words.text().startswith("New: another.")
+    qtbot.mouseClick(place.correction.refit, LEFT)
+    qtbot.waitUntil(lambda: not session.running, timeout=LONG)
+    assert session.status_kind == "ok", session.status
+    assert fitted.fit().round == before + 2 and "another" in fitted.fit_names
+    session.shape = "another"
+    place._show_all()
+    assert place.record.points("another", fitted.fit().round) is not None
+    assert place.record.points("another", 0) is None, "it was not there then"
 
 
 def test_run_again_after_a_refit_begins_at_the_start(open_window, fitted, meshes, qtbot):

@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import MutableMapping
 from pathlib import Path
+
+
+def choose_platform(environment: MutableMapping[str, str]) -> None:
+    """Let Qt talk to X11, as VTK does: under Wayland the window goes through XWayland when that is there.
+
+    What the user has set stays.
+    """
+    if sys.platform.startswith("linux") and environment.get("DISPLAY"):
+        environment.setdefault("QT_QPA_PLATFORM", "xcb")
+        # And to GLX: with Qt on EGL in the same thread, each would draw into the other's window.
+        environment.setdefault("QT_XCB_GL_INTEGRATION", "xcb_glx")
+    environment.setdefault("QT_API", "pyside6")
 
 
 def run(path: Path | None = None) -> int:
     """Show the window and run Qt's event loop until it is closed; returns the exit status."""
-    # VTK talks to X11: under Wayland the window goes through XWayland when that is there.
-    if sys.platform.startswith("linux") and os.environ.get("DISPLAY"):
-        os.environ.setdefault("QT_QPA_PLATFORM", "xcb")
-        # And to GLX: with Qt on EGL in the same thread, each would draw into the other's window.
-        os.environ.setdefault("QT_XCB_GL_INTEGRATION", "xcb_glx")
-    os.environ.setdefault("QT_API", "pyside6")
+    choose_platform(os.environ)
     from PySide6.QtWidgets import QApplication
 
     from shapeforge.store import Project

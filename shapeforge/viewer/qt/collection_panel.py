@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from PySide6.QtCore import QPoint, Qt, QTimer
+from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QPixmap
 from PySide6.QtWidgets import QStackedWidget, QWidget
 
@@ -14,21 +14,19 @@ from shapeforge.viewer.palette import rgb
 from shapeforge.viewer.qt.bind import Binding, action_button, keep_enabled
 from shapeforge.viewer.qt.collection_parts import MAP_PICTURE, CollectionStrip, ProblemList, SelectionSection
 from shapeforge.viewer.qt.collection_words import hover_card, typical_text
-from shapeforge.viewer.qt.group_map import GroupMap, MapContent, group_colour
+from shapeforge.viewer.qt.group_list import GroupList
+from shapeforge.viewer.qt.group_map import GroupMap
 from shapeforge.viewer.qt.group_menus import GroupMenus
-from shapeforge.viewer.qt.icons import refresh, set_icon
+from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.large_view import LargeView
+from shapeforge.viewer.qt.map_drawing import MapContent, group_colour
 from shapeforge.viewer.qt.theme import PADDING
 from shapeforge.viewer.qt.thumbnails import Thumbnails
 from shapeforge.viewer.qt.widgets import (
     Choice,
-    Clickable,
-    EditableName,
     Picture,
     Segments,
-    Swatch,
     button,
-    clear,
     column,
     framed,
     grouped,
@@ -38,8 +36,7 @@ from shapeforge.viewer.qt.widgets import (
     section,
     separator,
 )
-from shapeforge.viewer.readiness import needs_rest
-from shapeforge.viewer.regroup import can_make_exemplar, chosen_shapes, rename_group
+from shapeforge.viewer.regroup import can_make_exemplar, chosen_shapes
 from shapeforge.viewer.session import Session
 
 PREVIEW = (280, 184)
@@ -58,7 +55,7 @@ class CollectionPlace:
         self.session, self.actions = session, actions
         self.binding = Binding(session)
         self.pictures = Thumbnails(session)
-        self.menus = GroupMenus(session, actions, self._rename_current, self._leave_it)
+        self.menus = GroupMenus(session, actions, lambda: self.groups.rename_current(), self._leave_it)
         self.choosing = False
         self._view_factory = view_factory
         self.large: LargeView | None = None
@@ -81,6 +78,7 @@ class CollectionPlace:
         self.binding.on(("theme",), self._show_all, now=False)
         self.binding.on(("shape", "selected", "group"), self._show_selection, now=False)
         self.binding.on(("arrangement", "turn"), self._show_map, now=False)
+        self.binding.on(("running",), self._show_problems, now=False)
         self.binding.on(("running", "progress", "status", "turn"), self._show_progress, now=False)
 
     def enter(self) -> None:
@@ -127,31 +125,14 @@ class CollectionPlace:
         return result
 
     def _make_inspector(self) -> QWidget:
-        self.group_count = label("", "off")
-        self.group_again = action_button(self.actions, "group", self.binding, text="", kind="icon")
-        set_icon(self.group_again, "rotate")
-        self.group_more = button(icon="more", kind="icon", tooltip="Rename, merge or split the selected group")
-        self.group_more.setAccessibleName("Change the selected group")
-        self.group_more.clicked.connect(
-            lambda: self.menus.group_menu(self.group_more.mapToGlobal(self.group_more.rect().bottomLeft()))
-        )
-        self.group_list = column(spacing=2)
-        groups = column(
-            row(
-                label("Groups", "heading"),
-                self.group_count,
-                None,
-                self.group_again,
-                self.group_more,
-                spacing=4,
-                margins=(PADDING, 0, 10, 4),
-            ),
-            column(self.group_list, margins=(8, 0, 8, 0)),
-            spacing=0,
-            margins=(0, 8, 0, 12),
+        self.groups = GroupList(self.session, self.actions, self.binding, self._map_picture_of_group)
+        self.groups.chosen.connect(self._show_group)
+        self.groups.menu_wanted.connect(lambda g, at: self._open_menu("", g, at))
+        self.groups.more.clicked.connect(
+            lambda: self.menus.group_menu(self.groups.more.mapToGlobal(self.groups.more.rect().bottomLeft()))
         )
         holder = QWidget()
-        holder.setLayout(column(groups, separator(), spacing=0))
+        holder.setLayout(column(self.groups, separator(), spacing=0))
         self.exemplar_title, self.typical = label("", "heading"), label("", "caption")
         self.preview = Picture(PREVIEW, top=PREVIEW_WORDS)
         self.preview_name, self.preview_about = label("", "strong"), label("", "caption")
@@ -179,11 +160,15 @@ class CollectionPlace:
             return
         self._show_colours()
         self._show_map()
-        self._show_groups()
-        self.problems.show_problems(self.session)
+        self.groups.show_groups()
+        self._show_problems()
         self.strip.show_exemplars()
         self._show_selection()
         self._show_progress()
+
+    def _show_problems(self) -> None:
+        if self._here():
+            self.problems.show_problems(self.session)
 
     def _show_colours(self) -> None:
         options = [("group", "group"), ("plain", "nothing")]
@@ -251,64 +236,18 @@ class CollectionPlace:
             colour = rgb(group_colour(g, len(groups)))
         return self.pictures.shape(name, MAP_PICTURE, colour=colour)
 
-    def _show_groups(self) -> None:
-        clear(self.group_list)
-        groups = groups_of(self.session)
-        self.group_count.setText("" if groups is None else str(len(groups)))
-        self.group_rows: list[Clickable] = []
-        self.group_pictures: list[tuple[Picture, int]] = []
-        if groups is None:
-            told = label("Groups of similar shapes appear here once the shapes are grouped.", "caption", wrap=True)
-            self.group_list.addWidget(told)
-            self.group_list.setContentsMargins(8, 0, 8, 0)
-            return
-        self.group_list.setContentsMargins(0, 0, 0, 0)
-        for g, name in enumerate(groups.names):
-            picture = Picture((34, 30))
-            disc = Swatch(group_colour(g, len(groups)), size=14, disc=True)
-            called = EditableName(name)
-            called.renamed.connect(lambda text, g=g: self._rename(g, text))
-            line = row(
-                disc, 2, called, None, label(str(len(groups.members(g))), "text2"), 6, picture,
-                spacing=6, margins=(8, 2, 6, 2),
-            )  # fmt: skip
-            exemplar = self.session.project.names[groups.exemplars[g]]
-            one = Clickable(line, "row", tooltip=f"Exemplar: {exemplar}. Double-click (or F2) renames the group.")
-            one.setFixedHeight(36)
-            one.clicked.connect(lambda g=g: self._show_group(g))
-            one.menu_wanted.connect(lambda at, g=g: self._open_menu("", g, at))
-            one.double_clicked.connect(lambda called=called: self._start_rename(called))
-            self.group_list.addWidget(one)
-            self.group_rows.append(one)
-            self.group_pictures.append((picture, g))
-
-    def _start_rename(self, called: EditableName) -> None:
-        can, why = needs_rest(self.session)
-        if can:
-            called.start()
-        else:
-            self.session.say(why, "warning")
-
-    def _rename(self, g: int, text: str) -> None:
-        # The list is made anew by it: not before the editor has finished with its event.
-        QTimer.singleShot(0, self.centre, lambda: rename_group(self.session, g, text))
-
-    def _rename_current(self) -> None:
-        self._start_rename(self.group_rows[self.session.group].findChild(EditableName))
-
     def _show_selection(self) -> None:
         if not self._here():
             return
         session, groups = self.session, groups_of(self.session)
-        if len(getattr(self, "group_rows", ())) != (0 if groups is None else len(groups)):
+        if len(self.groups.rows) != (0 if groups is None else len(groups)):
             return  # the groups are just being changed: all is shown anew in a moment
         g = group_of(session, session.shape)
         if g >= 0:
             session.group = g
         current = self.session.group if groups is not None else -1
         self.map.set_selection(session.shape, session.selected, current)
-        for number, one in enumerate(getattr(self, "group_rows", ())):
-            one.set_current(number == current)
+        self.groups.mark(current)
         chosen = len(session.selected) or (1 if session.shape else 0)
         self.count.setText(f"{chosen} of {len(session.project.names)} selected" if chosen else "")
         self._show_exemplar()
@@ -347,8 +286,7 @@ class CollectionPlace:
         if groups is None or not self._here():
             return
         names = self.session.project.names
-        for picture, g in getattr(self, "group_pictures", ()):
-            picture.set_pixmap(self._map_picture_of_group(names[groups.exemplars[g]], g, len(groups)))
+        self.groups.show_pictures()
         self.strip.show_pictures(self.pictures)
         exemplar = names[groups.exemplars[min(self.session.group, len(groups) - 1)]]
         parts = "painted" if self.session.project.label_key(exemplar) else ""

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QGuiApplication
 from PySide6.QtWidgets import QFrame, QProgressBar, QScrollArea, QWidget
 
+from shapeforge.store import Problem
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.palette import rgb
 from shapeforge.viewer.qt.bind import Binding, action_button
-from shapeforge.viewer.qt.group_map import group_colour
 from shapeforge.viewer.qt.icons import refresh, set_icon
+from shapeforge.viewer.qt.map_drawing import group_colour
 from shapeforge.viewer.qt.theme import PADDING
 from shapeforge.viewer.qt.thumbnails import Thumbnails
 from shapeforge.viewer.qt.widgets import (
@@ -221,24 +223,32 @@ class ProblemList(QWidget):
         errors = sum(problem.kind == "error" for problem in problems)
         self.read_count.setText(f"{len(project.names)} of {len(project.names) + errors} read")
         self.copy.setVisible(bool(problems))
+        of_file: dict[str, list[Problem]] = {}
         for problem in problems:
-            failed = problem.kind == "error"
-            said = label(f"{'not read' if failed else 'read'}: {problem.reason}", "caption", wrap=True)
-            said.setToolTip(problem.remedy)
-            name = ElidedLabel(Path(problem.file).name, "strong", Qt.TextElideMode.ElideMiddle)
-            sign = icon_label("error" if failed else "warning", "error" if failed else "warning")
-            words = column(name, said, spacing=0)
-            turned = by_source.get(problem.file) if problem.reason.startswith("turned") else None
-            if turned is not None:
-                fix = button("Turn it…", kind="link", tooltip="Put it upright, facing as the others do")
-                fix.setStyleSheet("font-size: 11px; min-height: 16px; max-height: 16px;")
-                fix.clicked.connect(lambda _=False, shape=turned: self.fix_wanted.emit(shape))
-                words.addLayout(row(fix, None))
-            self.problem_list.addLayout(row(column(sign, None, margins=(0, 2, 0, 0)), words, spacing=8))
+            of_file.setdefault(problem.file, []).append(problem)
+        for file, found in of_file.items():
+            self._add(file, found, by_source.get(file))
         if not problems:
-            text = "Every file was read without complaint." if project.names else "Nothing has been imported yet."
+            nothing = "Files are being read…" if session.running else "Nothing has been imported yet."
+            text = "Every file was read without complaint." if project.names else nothing
             self.problem_list.addWidget(label(text, "caption", wrap=True))
         refresh(self, session.theme)
+
+    def _add(self, file: str, problems: Sequence[Problem], shape: str | None) -> None:
+        """One file, and all that is to be said of it; ``shape`` is the name of what was read from it."""
+        failed = any(problem.kind == "error" for problem in problems)
+        reasons = "; ".join(problem.reason for problem in problems)
+        said = label(f"{'not read' if failed else 'read'}: {reasons}", "caption", wrap=True)
+        said.setToolTip("\n".join(problem.remedy for problem in problems if problem.remedy))
+        name = ElidedLabel(Path(file).name, "strong", Qt.TextElideMode.ElideMiddle)
+        sign = icon_label("error" if failed else "warning", "error" if failed else "warning")
+        words = column(name, said, spacing=0)
+        if shape is not None and any(problem.reason.startswith("turned") for problem in problems):
+            fix = button("Turn it…", kind="link", tooltip="Put it upright, facing as the others do")
+            fix.setStyleSheet("font-size: 11px; min-height: 16px; max-height: 16px;")
+            fix.clicked.connect(lambda: self.fix_wanted.emit(shape))
+            words.addLayout(row(fix, None))
+        self.problem_list.addLayout(row(column(sign, None, margins=(0, 2, 0, 0)), words, spacing=8))
 
     def _copy_problems(self) -> None:
         text = "\n".join(str(problem) for problem in self._session.project.problems)

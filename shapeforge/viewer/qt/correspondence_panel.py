@@ -229,7 +229,7 @@ class CorrespondencePlace:
             self.overlaid = False
             aspect = view.width() / max(view.height(), 1)
             display = self.box.display(
-                self.names, colour_by=self.colour_by, picked=session.picked, second=self.second, hover=self.hovered,
+                self.names, colour_by=self._shown_by(), picked=session.picked, second=self.second, hover=self.hovered,
                 selected=(*session.selected, *([session.shape] if session.shape else [])), aspect=aspect,
             )  # fmt: skip
             changed = (display.rows, display.columns) != (view.shown.rows, view.shown.columns)
@@ -238,10 +238,14 @@ class CorrespondencePlace:
         for one in (self.colour, self.sorting, self.showing, self.before, self.after):
             one.setVisible(not self.overlaid)
         self.inspector.show_points(self.box, self.second)
-        self.inspector.show_legend("distance" if self.overlaid else self.colour_by)
+        self.inspector.show_legend("distance" if self.overlaid else self._shown_by())
         self.inspector.overlay.setText("Back to all shapes" if self.overlaid else "Overlay two shapes")
         self.strip.show_marks()
         self.session.edit_count += 1  # what can be done depends on what is picked
+
+    def _shown_by(self) -> str:
+        """What the colours mean now: where a point lies cannot be shown before one is picked, the parts can."""
+        return "part" if self.colour_by == "spread" and self.session.picked is None else self.colour_by
 
     def _show_hint(self) -> None:
         unread, of = len(self.box.unread), len(self.box.names)

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 from PySide6.QtCore import Qt, QTimer
-from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QWidget
 
 from shapeforge.viewer.actions import Action, Actions, group_of, groups_of
@@ -15,20 +14,17 @@ from shapeforge.viewer.display import Caption, Display, grid_of
 from shapeforge.viewer.fit_display import (
     UNTURNED,
     MeshLayer,
-    all_points,
-    mesh_layer,
-    probable_layer,
     template_view,
     three_views,
 )
 from shapeforge.viewer.fit_record import WATCHED_AT_MOST, FitRecord, look_at, moved_text
-from shapeforge.viewer.palette import tokens
 from shapeforge.viewer.picking import Pick
 from shapeforge.viewer.qt.bind import Binding, action_button
 from shapeforge.viewer.qt.fit_keys import fit_actions
+from shapeforge.viewer.qt.fit_pictures import FitPictures
 from shapeforge.viewer.qt.fit_report import FitReport
 from shapeforge.viewer.qt.fit_run import CorrectionFoot, RunStrip, rounds_planned
-from shapeforge.viewer.qt.fit_widgets import AlsoWatching, draw_points, show_legend
+from shapeforge.viewer.qt.fit_widgets import AlsoWatching, show_legend
 from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.stale_note import stale_note
 from shapeforge.viewer.qt.theme import PADDING
@@ -60,8 +56,7 @@ class FitPlace:
         self.session, self.actions = session, actions
         self.binding = Binding(session)
         self.record: FitRecord | None = None
-        self._layers: dict[tuple, MeshLayer] = {}
-        self._pictures: dict[tuple, QImage] = {}
+        self.pictures = FitPictures(session)
         self._fitted_shape: object = None
         actions.add(
             Action("correct", "Correct by painting", self._correct, self._can_correct, "C",
@@ -180,7 +175,7 @@ class FitPlace:
         return result
 
     def _make_inspector(self) -> QWidget:
-        stale = stale_note(self.actions, self.binding, "fit", "fit", "Run it again")
+        stale = stale_note(self.actions, self.binding, "fit", "fit", "Run it again", rather="refit")
         self.report = FitReport(stale)
         self.report.watch.connect(self._watch_all)
         self.report.override.connect(self._override)
@@ -230,8 +225,7 @@ class FitPlace:
     def _project_changed(self) -> None:
         project = self.session.project
         self.record = None if project is None else FitRecord(project)
-        self._layers.clear()
-        self._pictures.clear()
+        self.pictures.forget()
         self._fitted_shape = None
 
     def _take_progress(self) -> None:
@@ -241,7 +235,7 @@ class FitPlace:
         watched = tuple({*self.session.watched, *((self.session.shape,) if self.session.shape else ())})
         if progress.state is not None and self.record.add(progress.state, watched):
             self.session.round = None
-            self._pictures.clear()
+            self.pictures.forget_rounds()
             self._show_soon()
 
     def look_back(self, number: int) -> None:
@@ -265,7 +259,7 @@ class FitPlace:
         if not self.session.running:
             self.record.load()
         if self.record.recolour():
-            self._pictures.clear()
+            self.pictures.forget_rounds()
         self._show_tools()
         self._show_views()
         show_legend(self.legend, self.record.looks, self.by.value_text(), self.number())
@@ -283,32 +277,7 @@ class FitPlace:
         self.watch.set_options([*options, ("", "Find another…")], session.shape or "")
 
     def _layer(self, name: str, kind: str) -> MeshLayer:
-        """A mesh layer that keeps its identity, so that an unchanged view is not drawn again."""
-        number = self.record.newest if kind == "parts" else 0
-        points = self.record.points(name, self.number())
-        turn = UNTURNED if points is None else points.turn
-        stamp = (name, kind, self.session.theme, number, self.session.revision, turn.tobytes())
-        if stamp not in self._layers:
-            if len(self._layers) > 60:
-                self._layers.clear()
-            shape = self.session.project.shapes.named(name)
-            if kind == "parts":
-                self._layers[stamp] = probable_layer(
-                    shape, self._probabilities(name, shape), self.record.looks[0].inks, turn
-                )
-            else:
-                colour = tokens(self.session.theme)["shape"]
-                self._layers[stamp] = mesh_layer(shape, colour, 1.0 if kind == "plain" else 0.16, kind, turn)
-        return self._layers[stamp]
-
-    def _probabilities(self, name: str, shape: object) -> np.ndarray:
-        if self.record.state is None:
-            known = self.session.project.face_probabilities(name)
-            if known is not None:
-                return known
-        from shapeforge.deformation.faces import face_probabilities
-
-        return face_probabilities(shape, self.record.beliefs(name))
+        return self.pictures.layer(self.record, name, kind, self.number())
 
     def _show_views(self) -> None:
         session, number = self.session, self.number()
@@ -323,11 +292,11 @@ class FitPlace:
             return
         name = session.shape
         now, before = self.record.points(name, number), self.record.points(name, number - 1)
-        look = look_at(self.record, now)
+        look, layer = look_at(self.record, now), self._layer
         known = now is not None and self.record.beliefs(name) is not None
         display = three_views(
-            self._layer(name, "plain"), self._layer(name, "ghost"), look, now, before,
-            self._layer(name, "parts") if known else None, self.by.value_text(),
+            layer(name, "plain"), layer(name, "ghost"), look, now, before,
+            layer(name, "parts") if known else None, self.by.value_text(),
         )  # fmt: skip
         self.view.display(display, fit=first)
         self.view.fit_if_cut()
@@ -369,19 +338,9 @@ class FitPlace:
             one.look_from(self._direction())
 
     def _show_scrubber(self) -> None:
-        name, number = self.session.shape, self.number()
-        pictures: dict[int, QImage] = {}
-        for n in range(self.record.newest + 1):
-            points = self.record.points(name, n) if name else None
-            look = look_at(self.record, points)
-            if look is None or len(look.label) != len(points.positions):
-                continue
-            stamp = (name, n)
-            if stamp not in self._pictures:
-                self._pictures[stamp] = draw_points(*all_points(look, points), (76, 80), (1.0, 0.6, 1.5), 2)
-            pictures[n] = self._pictures[stamp]
+        pictures = self.pictures.of_rounds(self.record, self.session.shape)
         planned = rounds_planned(self.session, self.record)
-        self.scrubber.set_state(planned, self.record.newest, number, pictures)
+        self.scrubber.set_state(planned, self.record.newest, self.number(), pictures)
 
     def _show_run(self) -> None:
         if not self._here() or self.record is None:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QWidget
 
+from shapeforge.stages_status import Corrections
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.fit_record import FitRecord
 from shapeforge.viewer.qt.bind import Binding, action_button
@@ -20,34 +21,52 @@ from shapeforge.viewer.session import Session
 
 
 class CorrectionFoot(QWidget):
-    """Correct the selected shape by painting; then, as long as something was painted since the fit, refit from here."""
+    """Correct the selected shape by painting; then, as long as something changed since the fit, refit from here.
+
+    Where a fit has to begin at the start this is offered instead, and why.
+    """
 
     def __init__(self, session: Session, actions: Actions, binding: Binding) -> None:
         super().__init__()
         self.session = session
         self.correct = action_button(actions, "correct", binding)
         self.refit = action_button(actions, "refit", binding, kind="primary")
+        self.anew = action_button(actions, "fit", binding, text="Fit from the start")
         self.words = label("", "caption", wrap=True)
         self.words.setMinimumHeight(32)
         self.words.setAlignment(Qt.AlignmentFlag.AlignTop)
-        self.setLayout(column(self.correct, self.refit, self.words, spacing=6))
+        self.setLayout(column(self.correct, self.refit, self.anew, self.words, spacing=6))
 
     def show_state(self, finished: bool) -> None:
-        """Show what was corrected; ``finished``: the fit is complete, and true."""
+        """Show what changed; ``finished``: the fit is complete, and true."""
         session = self.session
         self.correct.setText(f"Correct {shortened(session.shape, 22)}" if session.shape else "Correct by painting")
-        names, (can, why) = corrected(session)
-        self.refit.setVisible(bool(names) and not session.running)
+        found = corrected(session)
+        changed = bool(found.names) and not session.running
+        self.refit.setVisible(changed and not found.why)
+        self.anew.setVisible(changed and bool(found.why))
         if session.running:
             words = "Stop the fit to correct a shape; it goes on from the correction."
-        elif names and can:
-            words = f"Corrected: {_few(names)}. The others keep what they have."
-        elif names:
-            words = f"{why} Run the fit again; it takes the paint of {_few(names)} as evidence."
+        elif changed:
+            words = _changes(found)
         else:
             words = "Paint what is wrong; then the fit is taken up from here." if finished else ""
         self.words.setText(words)
         self.words.setVisible(bool(words))
+
+
+def _changes(found: Corrections) -> str:
+    """What changed since a fit, and what follows from it, in words."""
+    if found.why:
+        paint = f" The paint of {_few(found.painted)} counts in it." if found.painted else ""
+        return f"{found.why} So it cannot be taken up from here.{paint}"
+    others = [name for name in found.painted if name not in found.exemplars]
+    said = [f"Corrected: {_few(others)}."] if others else []
+    if found.exemplars:
+        said.append(f"Repainted: {_few(found.exemplars)}. The templates are made again, and all shapes follow.")
+    if found.new:
+        said.append(f"New: {_few(found.new)}.")
+    return " ".join(said) + ("" if found.exemplars else " The others keep what they have.")
 
 
 def rounds_planned(session: Session, record: FitRecord) -> int:
@@ -99,8 +118,8 @@ class RunStrip(QWidget):
         going_on = bool(done) and done.state == "partial" and not other_quality(session)
         words = "Resume" if mine and session.is_paused else "Pause" if mine else "Go on" if going_on else "Run"
         self.run.setText(words if not finished else "Run again")
-        names, (can_refit, _) = corrected(session)
-        quiet = finished or (bool(names) and can_refit and not mine)  # one blue button at a time
+        changed = corrected(session)
+        quiet = finished or (bool(changed.names) and not changed.why and not mine)  # one blue button at a time
         set_style(self.run, "kind", "" if quiet else "primary")
         set_icon(self.run, "pause" if mine and not session.is_paused else "play", "text_2" if quiet else "on_accent")
         newest = record.newest

@@ -65,7 +65,7 @@ def show_legend(box: QBoxLayout, looks: Sequence[TemplateLook], by: str, number:
             box.addSpacing(6)
             box.addWidget(label(f"—  moved since round {number - 1}", "caption"))
     else:
-        said = "Run the fit: the templates of the painted exemplars find their way to every shape."
+        said = "The templates of the painted exemplars find their way to every shape."
         box.addWidget(label(said, "caption"))
     box.addStretch(1)
 

@@ -6,9 +6,18 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from PySide6.QtCore import QObject, QSize, Qt, Signal
+from PySide6.QtCore import QModelIndex, QObject, QPersistentModelIndex, QSize, Qt, Signal
 from PySide6.QtGui import QIcon
-from PySide6.QtWidgets import QAbstractItemView, QDialog, QHeaderView, QTableWidget, QTableWidgetItem, QWidget
+from PySide6.QtWidgets import (
+    QAbstractItemView,
+    QDialog,
+    QHeaderView,
+    QStyledItemDelegate,
+    QStyleOptionViewItem,
+    QTableWidget,
+    QTableWidgetItem,
+    QWidget,
+)
 
 from shapeforge.viewer.import_preview import FilePreview, previews, size_words, summary, upright_mesh
 from shapeforge.viewer.palette import tokens
@@ -29,6 +38,14 @@ class _Mail(QObject):
     arrived = Signal()
 
 
+class _Names(QStyledItemDelegate):
+    """Names that are too long lose their middle: what tells two files apart is often at the end."""
+
+    def initStyleOption(self, option: QStyleOptionViewItem, index: QModelIndex | QPersistentModelIndex) -> None:
+        super().initStyleOption(option, index)
+        option.textElideMode = Qt.TextElideMode.ElideMiddle
+
+
 class ImportDialog(QDialog):
     """Reads the files in a thread of its own; ``go(paths, up)`` is called with those that are ticked."""
 
@@ -40,7 +57,7 @@ class ImportDialog(QDialog):
         self.setWindowTitle("Import shapes")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setModal(True)
-        self.resize(860, 560)
+        self.resize(960, 560)
         self.session, self.go, self.paths = session, go, paths
         self.seen: list[FilePreview] = []
         known = session.project if session.project is not None and session.project.names else None
@@ -62,6 +79,7 @@ class ImportDialog(QDialog):
         self.table.verticalHeader().hide()
         self.table.setShowGrid(False)
         self.table.setWordWrap(False)
+        self.table.setItemDelegateForColumn(0, _Names(self.table))
         self.table.setIconSize(QSize(40, 40))
         self.table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
@@ -69,7 +87,7 @@ class ImportDialog(QDialog):
         head = self.table.horizontalHeader()
         head.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         head.setHighlightSections(False)
-        for number, width in enumerate((250, 76, 190)):
+        for number, width in enumerate((290, 76, 190)):
             self.table.setColumnWidth(number, width)
         head.setSectionResizeMode(3, QHeaderView.ResizeMode.Stretch)
         self.table.itemChanged.connect(lambda _item: self._show_count())

@@ -15,7 +15,7 @@ from shapeforge.viewer.palette import label_colours, rgb
 from shapeforge.viewer.picking import Pick, camera_axes, project
 from shapeforge.viewer.pictures import mesh_view
 from shapeforge.viewer.qt.bind import Binding, action_button
-from shapeforge.viewer.qt.group_map import group_colour
+from shapeforge.viewer.qt.map_drawing import group_colour
 from shapeforge.viewer.qt.theme import PADDING
 from shapeforge.viewer.qt.widgets import ElidedLabel, column, framed, grouped, label, row
 from shapeforge.viewer.regroup import chosen_shapes

@@ -10,7 +10,7 @@ from PySide6.QtGui import QPixmap
 from PySide6.QtWidgets import QApplication, QWidget
 
 from shapeforge.viewer import brushes
-from shapeforge.viewer.actions import YES, Actions, next_to_paint, unpainted_exemplars
+from shapeforge.viewer.actions import Actions, next_to_paint
 from shapeforge.viewer.completing import Completion
 from shapeforge.viewer.display import Display
 from shapeforge.viewer.painter import BRUSH_LIMITS, TOOL_NAMES, Painter
@@ -24,9 +24,9 @@ from shapeforge.viewer.qt.paint_parts import (
     HistoryStrip,
     ShareBar,
     ToolColumn,
-    percent,
 )
 from shapeforge.viewer.qt.paint_sections import BrushSection, NextSection, scribble_section
+from shapeforge.viewer.qt.paint_words import blank_words, can_fit, how_to_use
 from shapeforge.viewer.qt.parts_palette import PartsPalette
 from shapeforge.viewer.qt.thumbnails import Thumbnails
 from shapeforge.viewer.qt.widgets import (
@@ -39,7 +39,6 @@ from shapeforge.viewer.qt.widgets import (
     row,
     scrolled,
 )
-from shapeforge.viewer.readiness import starts_from_proposal
 from shapeforge.viewer.session import Session
 
 SAVE_MS = 700
@@ -200,6 +199,7 @@ class PaintPlace:
         self.painter.open(name)
         self._show_shape()
         self.brush.show_mirror(self.painter)
+        self._show_next()
         self.view.display(Display((self.painter.view(),)), fit=True)
         self.brush.show_brush()
 
@@ -220,6 +220,7 @@ class PaintPlace:
             self.completion.forget()
             self.painter.read(self.painter.name)
             self._show_shape()
+            self._show_tool()
             self._changed_view()
         elif self._entered and self.painter.name is not None:
             self.parts.show_chosen()  # proposed parts are painted ones as soon as there is paint
@@ -331,21 +332,7 @@ class PaintPlace:
         self.tools.show_state(session.tool, session.mirror)
         set_icon(self.tool_icon, session.tool, "accent_text", 18)
         self.tool_name.setText(TOOL_NAMES[session.tool])
-        part = names[session.part] if session.part < len(names) else "the first part"
-        stop = "the creases" if session.fill_to == "creases" else "the edge of its patch"
-        depth = "seen only" if session.reach == "surface" else "through and through"
-        how = {
-            "brush": f"drag paints {part} · Ctrl erases · wheel changes the size · Alt turns the view",
-            "eraser": "drag takes paint away · wheel changes the size · Alt turns the view",
-            "fill": f"click paints {part} up to {stop} · Ctrl erases · Alt turns the view",
-            "piece": f"click paints the whole loose piece {part} · Ctrl erases · Alt turns the view",
-            "lasso": f"drag around what is {part}, {depth} · Ctrl erases · T changes · Alt turns the view",
-            "scribble": "filling in the rest…"
-            if self.completion.busy
-            else f"one stroke on each part, now {part}; the rest is filled in",
-            "eyedropper": "click takes the part under the pointer",
-        }[session.tool]
-        self.tool_hint.setText(how)
+        self.tool_hint.setText(how_to_use(session, names, self.completion.busy))
         self.brush.mirror.setChecked(session.mirror)
         self._show_history()
 
@@ -353,15 +340,16 @@ class PaintPlace:
         if self.painter.name is None:
             return
         labels, surface = self.painter.state.labels, self.painter.surface
-        share = brushes.shares(surface, labels, len(self.parts.rows))
+        proposed = self.painter.proposed_faces
+        share = brushes.shares(surface, labels if proposed is None else proposed, len(self.parts.rows))
         for one, fraction in zip(self.parts.rows, share, strict=True):
             one.set_share(float(fraction))
         self.shares.set_shares([(one.colour, float(f)) for one, f in zip(self.parts.rows, share, strict=True)])
         self._pieces = brushes.unpainted_pieces(surface, labels)
-        left = max(1.0 - float(share.sum()), 0.0)
         count = len(self._pieces)
-        self.blank.setText(percent(left) if count else "All painted")
-        self.blank_words.setText(f"unpainted, {count} piece{'s' * (count != 1)}" if count else "")
+        strong, rest = blank_words(proposed is not None, max(1.0 - float(share.sum()), 0.0), count)
+        self.blank.setText(strong)
+        self.blank_words.setText(rest)
         if count != self._count:
             self._count = count
             self.session.edit_count += 1  # what can be done depends on it
@@ -394,22 +382,7 @@ class PaintPlace:
 
     def can_fit(self, session: Session) -> tuple[bool, str]:
         """Whether the family can be fitted with what is painted and, when not, why not."""
-        if starts_from_proposal(session):
-            return YES if not session.running else (False, f"Wait until {session.stage or 'the stage'} is done.")
-        left = [name for name in unpainted_exemplars(session) if name != self.painter.name or not self._has_paint()]
-        if left:
-            few = len(left) == 1
-            what, them = (left[0], "it") if few else (f"{len(left)} exemplars", "them")
-            return False, (
-                f"{what} {'is' if few else 'are'} still unpainted. Paint {them}, or leave "
-                f"{'its group' if few else 'their groups'} out in Collection (Shift+L)."
-            )
-        if not session.project.labelled and not self._has_paint():
-            return False, "Paint at least one shape first."
-        return YES if not session.running else (False, f"Wait until {session.stage or 'the present stage'} is done.")
-
-    def _has_paint(self) -> bool:
-        return self.painter.name is not None and bool((self.painter.state.labels >= 0).any())
+        return can_fit(session, self.painter)
 
     def fit_family(self, session: Session) -> None:
         """Go to Fit, and begin."""

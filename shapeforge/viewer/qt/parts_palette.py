@@ -47,12 +47,13 @@ class PartsPalette(QWidget):
         self.merge = action_button(actions, "merge_parts", binding, icon=False)
         self.split = action_button(actions, "split_part", binding, icon=False)
         self.remove = action_button(actions, "remove_part", binding, icon=False)
+        self.propose = action_button(actions, "cosegment", binding)
         self.hint = label("", "caption_off", wrap=True)
         buttons = row(self.new, self.merge, self.split, self.remove, spacing=6)
         for place in range(4):
             buttons.setStretch(place, 1)
         head = row(label("Parts", "heading"), self.part_count, None, label("share of the area", "caption"))
-        self.setLayout(column(section(head, self.part_rows, 4, buttons, self.hint, spacing=6), spacing=0))
+        self.setLayout(column(section(head, self.part_rows, 4, buttons, self.propose, self.hint, spacing=6), spacing=0))
 
     def _add_actions(self) -> None:
         def add(
@@ -100,7 +101,9 @@ class PartsPalette(QWidget):
             self.part_rows.addWidget(one)
             self.rows.append(one)
         if not names:
-            self.part_rows.addWidget(label("No parts yet. Add the first, or just paint.", "caption", wrap=True))
+            told = "No parts yet. Just paint, add the first, or let parts be proposed from what all shapes share."
+            self.part_rows.addWidget(label(told, "caption", wrap=True))
+        self.propose.setVisible(not names)
         refresh(self, self.session.theme)
         self.part_count.setText(str(len(names)) if names else "")
         self.show_chosen()

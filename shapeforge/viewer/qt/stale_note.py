@@ -12,11 +12,18 @@ from shapeforge.viewer.readiness import stage_status
 FOLLOWS = {"fit": "What is shown is still the old fit.", "learn": "What is shown is still the old model."}
 
 
-def stale_note(actions: Actions, binding: Binding, stage: str, then: str, text: str) -> QFrame:
-    """A frame that is there only while the results of ``stage`` are out of date; ``then`` is the action offered."""
+def stale_note(actions: Actions, binding: Binding, stage: str, then: str, text: str, rather: str = "") -> QFrame:
+    """A frame that is there only while the results of ``stage`` are out of date; ``then`` is the action offered.
+
+    Where the action ``rather`` can be done it is offered instead: it does the same for less.
+    """
     why = label("", "caption", wrap=True)
     go = button(text, kind="link")
-    go.clicked.connect(lambda: actions.run(then))
+
+    def offered() -> str:
+        return rather if rather and actions.verdict(rather)[0] else then
+
+    go.clicked.connect(lambda: actions.run(offered()))
     keep_enabled(go, actions, then, binding)
     words = column(label("Out of date", "heading"), why, 2, row(go, None), spacing=2)
     sign = column(icon_label("warning", "warning"), None)
@@ -29,6 +36,7 @@ def stale_note(actions: Actions, binding: Binding, stage: str, then: str, text: 
         stale = found is not None and found.state == "stale"
         reason = found.reason if stale else ""
         why.setText(f"{reason[:1].upper()}{reason[1:].rstrip('.')}. {FOLLOWS[stage]}" if stale else "")
+        go.setText(text if offered() == then else actions[rather].label)
         holder.setVisible(stale)
 
     binding.on(("project", "data", "running", "place"), show)

@@ -136,6 +136,8 @@ QTableWidget::item {{ padding: 0 8px; border: none; }}
 QTableWidget::indicator {{ width: 14px; height: 14px; border: 1px solid {separator_strong}; border-radius: 3px;
   background: {control}; }}
 QTableWidget::indicator:checked {{ background: {accent}; border-color: {accent}; }}
+QComboBox {{ background: {control}; color: {text}; border: 1px solid {separator}; border-radius: {radius}px;
+  padding: 0 8px; min-height: 28px; }}
 QHeaderView {{ background: {panel}; border: none; }}
 QHeaderView::section {{ background: {panel}; color: {text_2}; border: none; border-bottom: 1px solid {separator};
   padding: 6px 8px; font-size: 11px; }}

@@ -243,7 +243,8 @@ class Window(QWidget):
 
     def choose_folder(self, title: str) -> Path | None:
         """Ask for a folder."""
-        chosen = QFileDialog.getExistingDirectory(self, title)
+        # Files are shown, too: who looks for a folder of models knows it by what is in it.
+        chosen = QFileDialog.getExistingDirectory(self, title, "", QFileDialog.Option(0))
         return Path(chosen) if chosen else None
 
     def choose_files(self, title: str, endings: tuple[str, ...]) -> tuple[Path, ...]:
