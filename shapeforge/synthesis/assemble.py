@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from shapeforge.collection.materials import PLAIN
 from shapeforge.synthesis.bending import BentPart, bend, count_folds, start_part
 from shapeforge.synthesis.contacts import (
+    SLACK,
     carry_along,
     choose_contacts,
     contact_depths,
@@ -79,9 +80,9 @@ def synthesize(
         if started is not None:
             bent[int(l)] = bend(started, {}, preview=True)
     bent, contacts = join_islands(bent, choose_contacts(bent, sources.touching), sources.touching)
-    best, least, told = bent, np.inf, None
+    best, least, told, stubborn = bent, np.inf, None, set()
     for turn in range(1 if preview else CONTACT_ROUNDS):
-        held = hold_contacts(bent, contacts)
+        held = hold_contacts(bent, contacts, stubborn)
         moving = [l for l in bent if held[l] or (turn == 0 and not preview)]
         if not moving:
             break
@@ -93,6 +94,7 @@ def synthesize(
             best, least, told = dict(bent), faults, touch
         if faults <= GOOD * len(contacts):
             break
+        stubborn |= {pair for pair, gap in touch[0].items() if gap > SLACK}
     if told is None:
         told = contact_gaps(best, contacts), {} if preview else contact_depths(best, contacts)
     return _merge(best, told, sources)

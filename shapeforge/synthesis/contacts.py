@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from shapeforge.collection.surface import closest_points
-from shapeforge.synthesis.bending import BentPart
+from shapeforge.synthesis.bending import BentPart, aim
 from shapeforge.synthesis.depths import depths, pushed_back
 from shapeforge.synthesis.measures import gap
-from shapeforge.synthesis.sources import ANCHORS, Anchors
+from shapeforge.synthesis.sources import ANCHORS, Anchors, land_on
 from shapeforge.synthesis.surfaces import farthest_points
 
 FALLOFF = 0.12
@@ -75,7 +74,11 @@ def join_islands(
                     close = np.flatnonzero(distance <= distance.min() + 0.01)
                     chosen = close[farthest_points(vertices[close], ANCHORS)]
                     nothing = np.zeros(len(chosen))
-                    held_on = Anchors(chosen, distance[chosen] - distance.min(), np.zeros((len(chosen), 3)), nothing)
+                    found = bent[other].source.template, bent[other].source.handle_rows @ bent[other].x
+                    held_on = Anchors(
+                        chosen, distance[chosen] - distance.min(), np.zeros((len(chosen), 3)), nothing,
+                        *land_on(vertices[chosen], *found),
+                    )  # fmt: skip
                     bent[l] = replace(bent[l], anchors={**bent[l].anchors, other: held_on})
                     contacts.append((min(l, other), max(l, other)))
                     joined = True
@@ -87,13 +90,18 @@ def join_islands(
     return bent, contacts
 
 
-def hold_contacts(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]) -> dict[int, dict[int, np.ndarray]]:
+def hold_contacts(
+    bent: Mapping[int, BentPart], contacts: list[tuple[int, int]], stubborn: Collection[tuple[int, int]] = ()
+) -> dict[int, dict[int, np.ndarray]]:
     """Where the anchors that came loose, or went in too deep, should go: {part: {vertex: position}}.
 
     Loose is what is farther from the other part than on the training shape, too deep what came farther through it.
     Of the two parts of a contact that one moves whose anchors have less far to go (the top ends of other legs may sit
     anywhere under a seat, but a corner of the seat should not reach out for them), and rather one that stretches than
     one that bends: the fin reaches up to the tailplane, the tailplane does not sag onto the fin.
+
+    What is loose goes to the nearest surface; in the contacts that are ``stubborn`` everything goes to the place that
+    corresponds to where it was on the training shape: a small shelf in the middle is as near to one leg as to another.
     """
     loose: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, tuple[bool, float]]] = {}
     for pair in contacts:
@@ -102,6 +110,9 @@ def hold_contacts(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]])
                 anchors = bent[l].anchors[other]
                 here = bent[l].source.rows[anchors.vertices] @ bent[l].x
                 there, _, distance = closest_points(bent[other].surface, here)
+                if pair in stubborn and (distance > anchors.distance + SLACK).any():
+                    there = closest_points(bent[other].surface, _corresponding(anchors, bent[other], there))[0]
+                    distance = np.linalg.norm(there - here, axis=1)
                 moves = distance > anchors.distance + SLACK
                 piece = bent[l].source.piece[anchors.vertices]
                 excess = depths(here, anchors.into, piece, bent[other].surface) - anchors.deep
@@ -124,6 +135,17 @@ def hold_contacts(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]])
     return held
 
 
+def _corresponding(anchors: Anchors, other: BentPart, instead: np.ndarray) -> Float[np.ndarray, "A 3"]:
+    """Where the anchors are at home on the other part, as it is now; ``instead`` (A, 3) if its points do not tell."""
+    points = np.full((max(int(anchors.landing.max()), int(other.source.template.max())) + 1, 3), np.nan)
+    points[other.source.template] = other.source.handle_rows @ other.x
+    near = points[anchors.landing]
+    weight = np.where(np.isfinite(near).all(axis=2), anchors.weight, 0.0)
+    total = weight.sum(axis=1, keepdims=True)
+    mean = (weight[..., None] * np.nan_to_num(near)).sum(axis=1) / np.maximum(total, 1e-12)
+    return np.where(total > 0.5, mean + anchors.offset, instead)
+
+
 def carry_along(part: BentPart, held: Mapping[int, np.ndarray]) -> BentPart:
     """The part with its targets shifted as its held vertices are, piece by piece.
 
@@ -137,10 +159,9 @@ def carry_along(part: BentPart, held: Mapping[int, np.ndarray]) -> BentPart:
     here = source.rows[vertices] @ part.x
     shifts = np.stack([held[v] for v in held]) - here
     handles = source.handle_rows @ part.x
-    piece_of_handle = source.piece[cKDTree(source.vertices).query(source.handles)[1]]
     targets = part.targets.copy()
     for piece in np.unique(source.piece[vertices]):
-        own, at = piece_of_handle == piece, source.piece[vertices] == piece
+        own, at = source.piece_of_handle == piece, source.piece[vertices] == piece
         if not own.any():
             continue
         common = shifts[at].mean(axis=0, keepdims=True)
@@ -154,7 +175,7 @@ def carry_along(part: BentPart, held: Mapping[int, np.ndarray]) -> BentPart:
             (apart, _spreading(handles[own], here[at], apart)),
         ):
             targets[own] += (1 - stretch * (1 - near)) * (weight @ shift)
-    return replace(part, targets=targets)
+    return aim(part, targets)
 
 
 def _stretchiness(points: np.ndarray, anchors: np.ndarray, shifts: np.ndarray) -> float:
