@@ -15,8 +15,8 @@ from shapeforge.collection.surface import closest_points
 from shapeforge.synthesis.bending import BentPart, aim
 from shapeforge.synthesis.depths import depths, pushed_back
 from shapeforge.synthesis.measures import gap
-from shapeforge.synthesis.sources import ANCHORS, Anchors, land_on
-from shapeforge.synthesis.surfaces import farthest_points
+from shapeforge.synthesis.sources import ANCHORS, Anchors, SourcePart, land_on
+from shapeforge.synthesis.surfaces import as_mesh, farthest_points
 
 FALLOFF = 0.12
 """Drawn points move along with an anchor up to about this distance (diagonals), so that the part doesn't kink."""
@@ -220,15 +220,27 @@ def contact_depths(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]
     return found
 
 
-def contact_gaps(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]) -> dict[tuple[int, int], float]:
-    """Gap of every contact (diagonals), measured from the part whose pieces are to hold on to the other."""
+def contact_gaps(
+    bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]
+) -> dict[tuple[int, int], tuple[float, float]]:
+    """Gap of every contact and how much of it is new (diagonals): the wider of those from its two parts."""
     surfaces = {l: piece.surface for l, piece in bent.items()}
-    gaps = {}
-    for pair in contacts:
-        found = []
-        for l, other in (pair, pair[::-1]):
-            if other in bent[l].anchors:
-                anchors, mesh = bent[l].anchors[other], surfaces[l]
-                found.append(gap(mesh.vertices, mesh.triangles, anchors.vertices, anchors.distance, surfaces[other]))
-        gaps[pair] = min(found)
-    return gaps
+    anchors = {l: piece.anchors for l, piece in bent.items()}
+    pieces = {l: piece.source.piece for l, piece in bent.items()}
+    return {pair: _gap(pair, surfaces, pieces, anchors) for pair in contacts}
+
+
+def training_gaps(parts: Mapping[int, SourcePart]) -> dict[tuple[int, int], float]:
+    """The same (diagonals) of the parts of a training shape that touch, as they are there."""
+    surfaces = {l: as_mesh(part.vertices, part.triangles) for l, part in parts.items()}
+    anchors, pieces = {l: part.anchors for l, part in parts.items()}, {l: part.piece for l, part in parts.items()}
+    pairs = [(l, o) for l in parts for o in parts if l < o and o in anchors[l] and l in anchors[o]]
+    return {pair: _gap(pair, surfaces, pieces, anchors)[0] for pair in pairs}
+
+
+def _gap(pair: tuple[int, int], surfaces: Mapping, pieces: Mapping, anchors: Mapping) -> tuple[float, float]:
+    found = [
+        gap(surfaces[l].vertices, pieces[l], anchors[l][o].vertices, anchors[l][o].distance, surfaces[o])
+        for l, o in (pair, pair[::-1]) if o in anchors[l]
+    ]  # fmt: skip
+    return max(one for one, _ in found), max(new for _, new in found)
