@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import breadth_first_order
 
 from shapeforge.synthesis.capping import loops_of
 from shapeforge.synthesis.cleaning import areas, components
-from shapeforge.synthesis.surfaces import Triangles, Vertices, good_triangles, sides_of, weld
+from shapeforge.synthesis.surfaces import Triangles, Vertices, good_triangles, sides_of, split_sides, weld
 
 SHEET = 0.006
 """Thickness (diagonals) that surfaces without one are given."""
@@ -120,7 +120,7 @@ def _angles(vertices: np.ndarray, triangles: np.ndarray, sides: np.ndarray, edge
 def _closed(vertices: np.ndarray, triangles: np.ndarray, pairs: np.ndarray) -> Solid:
     """One connected surface as a solid: as it is, or with lids, or as a sheet with two sides."""
     triangles, pairs = _wound_alike(triangles, pairs)
-    vertices, triangles = _told_apart(vertices, triangles, pairs)
+    vertices, triangles = _uncrowded(*_told_apart(vertices, triangles, pairs), pairs)
     area = float(areas(vertices, triangles).sum())
     rims = _rims(triangles)
     if not rims:
@@ -166,6 +166,25 @@ def _told_apart(vertices: np.ndarray, triangles: np.ndarray, pairs: np.ndarray) 
     at = np.empty((int(corner.max()) + 1, 3))
     at[corner] = vertices[triangles.ravel()]
     return at, corner.reshape(-1, 3)
+
+
+def _uncrowded(vertices: np.ndarray, triangles: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The mesh with a vertex in the middle of edges that share both ends with another, joined to it by nothing else.
+
+    Two surfaces may meet in both ends of an edge by way of other triangles; each then gets an edge of its own.
+    """
+    edge = sides_of(triangles)[1]
+    partner = np.full(len(edge), -1)
+    partner[pairs[:, 0]], partner[pairs[:, 1]] = pairs[:, 1], pairs[:, 0]
+    crowded = np.bincount(edge)[edge] != np.where(partner >= 0, 2, 1)
+    first = crowded & ((partner < 0) | (partner > np.arange(len(edge))))
+    middle = np.full(len(edge), -1)
+    middle[first] = len(vertices) + np.arange(first.sum())
+    follows = crowded & ~first
+    middle[follows] = middle[partner[follows]]
+    ends = np.stack([triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()], axis=1)[first]
+    at = np.concatenate([vertices, vertices[ends].mean(axis=1)])
+    return at, split_sides(at, triangles, middle.reshape(-1, 3))[0]
 
 
 def _rims(triangles: np.ndarray) -> list[np.ndarray]:

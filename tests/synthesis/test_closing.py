@@ -78,3 +78,15 @@ def test_a_strip_with_one_side_is_closed() -> None:
     (solid,) = closed_solids(vertices, strip)
     assert_closed(solid)
     assert solid.mended
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_any_tangle_of_triangles_becomes_closed_solids(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    vertices = rng.uniform(0, 0.5, (9, 3))
+    triangles = np.array([rng.choice(9, 3, replace=False) for _ in range(30)])  # edges with up to six triangles
+    solids = closed_solids(vertices, triangles)
+    assert len(solids) > 0
+    for solid in solids:
+        assert_closed(solid)
+        assert volume(solid.vertices, solid.triangles) >= 0
