@@ -42,7 +42,6 @@ from shapeforge.synthesis.assemble import SynthesizedShape, synthesize
 from shapeforge.synthesis.cleaning import clean_labels, components, neighbours
 from shapeforge.synthesis.contacts import training_gaps
 from shapeforge.synthesis.measures import raggedness, symmetry_error
-from shapeforge.synthesis.oriented import Orientations
 from shapeforge.synthesis.retrieve import retrieve
 from shapeforge.synthesis.sources import FEWEST_POINTS, Sources, make_sources
 from shapeforge.synthesis.surface import synthesize_surface
@@ -257,7 +256,7 @@ def from_project(
     makers = {
         "labels": partial(synthesize, sources=as_labelled),
         "parts": partial(synthesize, sources=clean),
-        "surface": partial(synthesize_surface, orientations=Orientations(clean)),
+        "surface": partial(synthesize_surface, sources=clean),
     }
     result = {"training": training_figures(shapes, clean, real)}
     for name in routes:

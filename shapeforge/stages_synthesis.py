@@ -89,14 +89,13 @@ def mesh_maker(sources: Any, route: str, *, union: bool = False) -> Callable[...
     Keyword arguments go on to the route.  Raises StageError for an unknown route or a missing package.
     """
     from shapeforge.synthesis.assemble import synthesize as from_parts
-    from shapeforge.synthesis.oriented import Orientations
     from shapeforge.synthesis.surface import synthesize_surface
     from shapeforge.synthesis.union import solid_modeller, unite
 
     if route not in ROUTES:
         raise StageError(f"route: wanted one of {', '.join(ROUTES)}, got {route!r}")
     if route == "surface":
-        return partial(synthesize_surface, orientations=Orientations(sources))
+        return partial(synthesize_surface, sources=sources)
     if not union:
         return partial(from_parts, sources=sources)
     try:

@@ -77,13 +77,13 @@ def synthesize(
     if symmetric:
         points = sources.mirror.made_symmetric(points, sources.part)
     if shapes is not None:
-        return _merge(_put_together(points, exists, sources, shapes, preview), sources)
+        return _merge(put_together(points, exists, sources, shapes, preview), sources)
     barred: set[tuple[int, int]] = set()
     joined: list[tuple[int, int]] = []
-    best: _Parts | None = None
+    best: PutTogether | None = None
     for _ in range(1 if preview else 1 + RETRIES):
         shapes = retrieve(points, exists, sources, fixed=fixed, joined=joined, barred=barred).shape
-        parts = _put_together(points, exists, sources, shapes, preview)
+        parts = put_together(points, exists, sources, shapes, preview)
         best = parts if best is None or parts.cost < best.cost else best
         apart = {pair: new for pair, (_, new) in parts.gaps.items() if new > WIDE}
         if not apart:
@@ -98,7 +98,7 @@ def synthesize(
 
 
 @dataclass(frozen=True, eq=False)
-class _Parts:
+class PutTogether:
     """Bent parts and, per contact, their gaps (see ``contact_gaps``) and depths; how bad all that is, in diagonals."""
 
     bent: Mapping[int, BentPart]
@@ -107,9 +107,9 @@ class _Parts:
     cost: float
 
 
-def _put_together(
+def put_together(
     points: np.ndarray, exists: np.ndarray, sources: Sources, shapes: np.ndarray, preview: bool
-) -> _Parts:
+) -> PutTogether:
     """The parts of these training shapes bent to the draw, and to each other in as many rounds as it takes."""
     bent: dict[int, BentPart] = {}
     for l in np.flatnonzero(exists & (shapes >= 0)):
@@ -136,7 +136,7 @@ def _put_together(
     if told is None:
         told = contact_gaps(best, contacts), {} if preview else contact_depths(best, contacts)
     cost = (0.0 if least == np.inf else least) + sum(float(_misses(part).mean()) for part in best.values())
-    return _Parts(best, *told, cost)
+    return PutTogether(best, *told, cost)
 
 
 def _misses(part: BentPart) -> np.ndarray:
@@ -151,7 +151,7 @@ def _faults(bent: Mapping[int, BentPart], apart: Mapping, deep: Mapping) -> floa
     return sum(new for _, new in apart.values()) + sum(deep.values()) + FOLD * folds
 
 
-def _merge(parts: _Parts, sources: Sources) -> SynthesizedShape:
+def _merge(parts: PutTogether, sources: Sources) -> SynthesizedShape:
     """All parts in one mesh, without triangles that collapsed, and its measures."""
     bent = parts.bent
     vertices, triangles, part, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int32)], [np.zeros(0, np.int32)], 0

@@ -197,7 +197,7 @@ def test_a_loose_contact_is_sought_where_it_corresponds_to_when_the_nearest_plac
 
 def test_parts_that_stay_apart_are_taken_from_elsewhere_and_the_best_is_kept(tables, sources, monkeypatch) -> None:
     asked, costs = [], []
-    really, put_together = assemble.retrieve, assemble._put_together
+    really, put_together = assemble.retrieve, assemble.put_together
 
     def recording(*given, joined, barred, **more):
         asked.append((list(joined), set(barred)))
@@ -208,7 +208,7 @@ def test_parts_that_stay_apart_are_taken_from_elsewhere_and_the_best_is_kept(tab
         return costs[-1]
 
     monkeypatch.setattr(assemble, "retrieve", recording)
-    monkeypatch.setattr(assemble, "_put_together", measured)
+    monkeypatch.setattr(assemble, "put_together", measured)
     draw = tables[0].points.copy()
     draw[384:] = tables[4].points[384:]  # legs of another table, which stand too far in
     monkeypatch.setattr(assemble, "WIDE", 1.0)
