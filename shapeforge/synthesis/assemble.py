@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from shapeforge.collection.materials import PLAIN
-from shapeforge.synthesis.bending import BentPart, bend, count_folds, start_part
+from shapeforge.synthesis.bending import BentPart, bend, count_folds, start_part, unfolded
 from shapeforge.synthesis.contacts import (
     SLACK,
     carry_along,
@@ -19,7 +19,7 @@ from shapeforge.synthesis.contacts import (
     hold_contacts,
     join_islands,
 )
-from shapeforge.synthesis.measures import symmetry_error
+from shapeforge.synthesis.measures import inverted_triangles, symmetry_error
 from shapeforge.synthesis.retrieve import retrieve
 from shapeforge.synthesis.sources import Sources
 from shapeforge.synthesis.surfaces import good_triangles
@@ -157,7 +157,7 @@ def _merge(parts: PutTogether, sources: Sources) -> SynthesizedShape:
     vertices, triangles, part, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int32)], [np.zeros(0, np.int32)], 0
     folds, miss, colours = 0, [], [np.zeros((0, 3), np.uint8)]
     for l, piece in bent.items():
-        moved = piece.vertices
+        moved = unfolded(piece)
         keep = good_triangles(moved, piece.source.triangles)
         vertices.append(moved)
         triangles.append((piece.source.triangles[keep] + count).astype(np.int32))
@@ -165,7 +165,7 @@ def _merge(parts: PutTogether, sources: Sources) -> SynthesizedShape:
         own = piece.source.colours
         colours.append(np.tile(np.uint8(PLAIN), (int(keep.sum()), 1)) if own is None else own[keep])
         count += len(moved)
-        folds += count_folds(piece, piece.x)
+        folds += inverted_triangles(piece.affine, moved, piece.source.triangles, piece.source.neighbours)
         miss.append(_misses(piece))
     names = sources.part_names
     gaps = {f"{names[l]} – {names[other]}": new for (l, other), (_, new) in parts.gaps.items()}

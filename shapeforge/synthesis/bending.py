@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.sparse import vstack
+from scipy.sparse import csr_array, vstack
 
 from shapeforge.collection.shape import Mesh
 from shapeforge.synthesis.embedded import Problem, Weights, even_strength, pre_align, solve_exactly, solve_quickly
-from shapeforge.synthesis.measures import inverted_triangles
+from shapeforge.synthesis.measures import inverted_pairs, inverted_triangles
 from shapeforge.synthesis.sources import Anchors, SourcePart
 from shapeforge.synthesis.surfaces import as_mesh
 
@@ -21,6 +21,8 @@ OWN_MAP = 24
 """A piece with at least so many handles is pre-aligned by itself: four legs spread without growing fat."""
 STIFFER = (1.0, 8.0, 64.0)
 """Factors of the regular term to try in turn while the bent part has folds."""
+UNFOLDINGS = 60
+"""Rounds in which vertices about a fold are moved with their neighbours, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,3 +124,26 @@ def count_folds(part: BentPart, x: Float[np.ndarray, "M 3"]) -> int:
     """Folds of the part bent by the unknowns ``x``, beyond those of its mesh (see :func:`inverted_triangles`)."""
     source = part.source
     return inverted_triangles(part.affine, source.rows @ x, source.triangles, source.neighbours)
+
+
+def unfolded(part: BentPart) -> Float[np.ndarray, "V 3"]:
+    """The part's vertices; about what is folded still, they move with their neighbours, until nothing is.
+
+    The affine map folds nothing, and displacements from it that are alike don't either.
+    """
+    source, vertices = part.source, part.vertices
+    n = len(vertices)
+    ends = np.concatenate([source.triangles[:, [0, 1]], source.triangles[:, [1, 2]], source.triangles[:, [2, 0]]])
+    joined = csr_array((np.ones(2 * len(ends)), np.concatenate([ends, ends[:, ::-1]]).T), shape=(n, n))
+    degree = np.maximum(joined.sum(axis=1), 1)
+    for turn in range(UNFOLDINGS):
+        pairs = inverted_pairs(part.affine, vertices, source.triangles, source.neighbours)
+        if not len(pairs[0]):
+            break
+        near = np.zeros(n)
+        near[source.triangles[np.concatenate(pairs)]] = 1
+        for _ in range(1 + turn // 5):  # what stays folded is eased from farther around
+            near = np.minimum(near + joined @ near, 1)
+        shift = vertices - part.affine
+        vertices = part.affine + np.where(near[:, None] > 0, (shift + (joined @ shift) / degree[:, None]) / 2, shift)
+    return vertices

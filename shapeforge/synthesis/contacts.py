@@ -6,11 +6,12 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
+from shapeforge.collection.shape import Mesh
 from shapeforge.collection.surface import closest_points
 from shapeforge.synthesis.bending import BentPart, aim
 from shapeforge.synthesis.depths import depths, pushed_back
@@ -22,6 +23,12 @@ FALLOFF = 0.12
 """Drawn points move along with an anchor up to about this distance (diagonals), so that the part doesn't kink."""
 SLACK = 0.003
 """An anchor may be so much (diagonals) farther from the other part than it was on its training shape."""
+FEWEST_STRAIGHT = 6
+"""A piece with so many anchors is moved and stretched by a contact, but not bent ..."""
+ARRIVED = 0.01
+"""... if a third of these then come so near (diagonals) to the other part; only they are held."""
+STRAIGHT_RIDGE = 0.02
+"""Spread (diagonals) of anchors along an axis from which on they tell how to stretch along it."""
 FARTHEST_CONTACT = 0.06
 """Parts that only one training shape or most others join stay apart if the draw sets them farther apart than this."""
 FARTHEST_ISLAND = 0.12
@@ -121,7 +128,8 @@ def hold_contacts(
                 there = np.where(deep[:, None], here - back[:, None] * anchors.into, there)
                 moves, distance = moves | deep, np.where(deep, back, distance)
                 if moves.any():  # the others are held where they are: free, they would be drawn back
-                    there, moves = np.where(moves[:, None], there, here), np.ones(len(moves), bool)
+                    there = np.where(moves[:, None], there, here)
+                    there, moves = _straight(here, there, piece, bent[other].surface)
                 bending = 2.0 - _stretchiness(bent[l].vertices, here, there - here)
                 # Who sees no depth (a plate into which others go) doesn't get by with doing nothing about it.
                 cost = not deep.any(), bending * float(distance.mean())
@@ -133,6 +141,31 @@ def hold_contacts(
             l, other = min(ways, key=lambda way: loose[way][2])
             held[l].update(zip(loose[l, other][0].tolist(), loose[l, other][1], strict=True))
     return held
+
+
+def _straight(
+    here: np.ndarray, there: np.ndarray, piece: np.ndarray, surface: Mesh
+) -> tuple[Float[np.ndarray, "A 3"], Bool[np.ndarray, " A"]]:
+    """Where the anchors (A, 3) of each piece go if it only moves and stretches along the axes; and which get there.
+
+    Nearest places on a trestle lie this way and that: a shelf that each of its anchors followed would be a wave.
+    """
+    there, held = there.copy(), np.ones(len(here), bool)
+    for one in np.unique(piece):
+        rows = np.flatnonzero(piece == one)
+        if len(rows) < FEWEST_STRAIGHT:
+            continue
+        p, q = here[rows] - here[rows].mean(axis=0), there[rows] - there[rows].mean(axis=0)
+        ridge = STRAIGHT_RIDGE**2
+        scale = np.clip(((p * q).mean(axis=0) + ridge) / ((p**2).mean(axis=0) + ridge), 0.5, 2.0)
+        moved = there[rows].mean(axis=0) + scale * p
+        if np.linalg.norm(moved - there[rows], axis=1).mean() <= SLACK:
+            continue
+        on, _, away = closest_points(surface, moved)
+        near = away <= ARRIVED
+        if near.sum() >= max(3, len(rows) // 3):
+            there[rows[near]], held[rows] = on[near], near
+    return there, held
 
 
 def _corresponding(anchors: Anchors, other: BentPart, instead: np.ndarray) -> Float[np.ndarray, "A 3"]:

@@ -180,6 +180,14 @@ def inverted_triangles(
     rest: Float[np.ndarray, "V 3"], bent: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"],
     pairs: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> int:  # fmt: skip
+    """Number of :func:`inverted_pairs`."""
+    return int(inverted_pairs(rest, bent, triangles, pairs)[0].size)
+
+
+def inverted_pairs(
+    rest: Float[np.ndarray, "V 3"], bent: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"],
+    pairs: tuple[np.ndarray, np.ndarray] | None = None,
+) -> tuple[Int[np.ndarray, " F"], Int[np.ndarray, " F"]]:  # fmt: skip
     """Folds that bending made: pairs of neighbours that faced alike at rest (within 60 degrees) and now are opposed.
 
     ``rest`` should hold the vertices after the affine part of the deformation, which folds nothing;
@@ -198,4 +206,5 @@ def inverted_triangles(
         turn.append((normal[first] * normal[second]).sum(axis=1))
     # Files often wind neighbours against each other: compare with how they stood at rest.
     opposed = ((turn[0] > 0.5) & (turn[1] < -0.5)) | ((turn[0] < -0.5) & (turn[1] > 0.5))
-    return int((opposed & thick[first] & thick[second]).sum())
+    opposed &= thick[first] & thick[second]
+    return first[opposed], second[opposed]

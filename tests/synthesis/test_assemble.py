@@ -9,9 +9,9 @@ import pytest
 
 from shapeforge.collection.materials import PLAIN
 from shapeforge.collection.surface import closest_points
-from shapeforge.synthesis import assemble, bending
+from shapeforge.synthesis import assemble, bending, contacts
 from shapeforge.synthesis.assemble import synthesize
-from shapeforge.synthesis.bending import bend, count_folds, start_part
+from shapeforge.synthesis.bending import bend, count_folds, start_part, unfolded
 from shapeforge.synthesis.contacts import carry_along, choose_contacts, contact_depths, hold_contacts, join_islands
 from shapeforge.synthesis.depths import depths, pushed_back
 from shapeforge.synthesis.measures import inverted_triangles
@@ -124,6 +124,12 @@ def test_what_would_fold_is_bent_stiffer(tables, sources, monkeypatch) -> None:
     stiffer = bend(part, crossed, preview=False)
     assert count_folds(plain, plain.x) > 10
     assert count_folds(stiffer, stiffer.x) == 0
+    # What is left of them is eased where it is.
+    eased = unfolded(plain)
+    assert inverted_triangles(part.affine, eased, part.source.triangles) == 0
+    far = np.abs(at[:, 0]) > 0.2
+    np.testing.assert_allclose(eased[far], plain.vertices[far], atol=0.01)
+    assert np.array_equal(unfolded(part), part.vertices)
     assert count_folds(part, part.start) == 0
 
 
@@ -193,6 +199,18 @@ def test_a_loose_contact_is_sought_where_it_corresponds_to_when_the_nearest_plac
         held = hold_contacts({0: bent[0], 1: replace(bent[1], anchors={})}, [(0, 1)], stubborn)[0]
         assert len(held) == len(anchors.vertices)
         assert {np.sign(held[int(v)][0]) for v in anchors.vertices[right]} == {side}
+
+
+def test_a_shelf_between_slanted_walls_goes_there_straight_though_nearest_places_lie_this_way_and_that() -> None:
+    x, z = np.meshgrid(np.linspace(-0.3, 0.3, 6), [-0.1, 0.1])
+    here = np.stack([x.ravel(), np.zeros(12), z.ravel()], axis=1)
+    wanted = here * [1.2, 1, 1] + [0, 0.05, 0]
+    wave = wanted + [0, 0.08, 0] * (np.arange(12) % 2)[:, None] - [0, 0.04, 0]
+    floor = as_mesh(np.array([[-2, 0.05, -2], [2, 0.05, -2], [0, 0.05, 3]]), np.array([[0, 1, 2]], np.int32))
+    there, held = contacts._straight(here, wave, np.zeros(12, int), floor)
+    assert held.all() and np.abs(there - wanted).max() < 0.01
+    few, held = contacts._straight(here[:4], wave[:4], np.zeros(4, int), floor)
+    assert held.all() and np.array_equal(few, wave[:4])  # four anchors say too little
 
 
 def test_parts_that_stay_apart_are_taken_from_elsewhere_and_the_best_is_kept(tables, sources, monkeypatch) -> None:
