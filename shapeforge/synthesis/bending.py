@@ -129,21 +129,25 @@ def count_folds(part: BentPart, x: Float[np.ndarray, "M 3"]) -> int:
 def unfolded(part: BentPart) -> Float[np.ndarray, "V 3"]:
     """The part's vertices; about what is folded still, they move with their neighbours, until nothing is.
 
-    The affine map folds nothing, and displacements from it that are alike don't either.
+    The affine map folds nothing, and displacements from it that are alike don't either.  The least folded is kept.
     """
     source, vertices = part.source, part.vertices
-    n = len(vertices)
+    best, fewest, n = vertices, np.inf, len(vertices)
     ends = np.concatenate([source.triangles[:, [0, 1]], source.triangles[:, [1, 2]], source.triangles[:, [2, 0]]])
     joined = csr_array((np.ones(2 * len(ends)), np.concatenate([ends, ends[:, ::-1]]).T), shape=(n, n))
-    degree = np.maximum(joined.sum(axis=1), 1)
+    degree = np.maximum(joined.sum(axis=1), 1)[:, None]
     for turn in range(UNFOLDINGS):
         pairs = inverted_pairs(part.affine, vertices, source.triangles, source.neighbours)
-        if not len(pairs[0]):
+        if len(pairs[0]) < fewest:
+            best, fewest = vertices, len(pairs[0])
+        if fewest == 0:
             break
         near = np.zeros(n)
         near[source.triangles[np.concatenate(pairs)]] = 1
-        for _ in range(1 + turn // 5):  # what stays folded is eased from farther around
+        for _ in range(1 + turn // 5):  # what stays folded is eased from farther around, and more
             near = np.minimum(near + joined @ near, 1)
         shift = vertices - part.affine
-        vertices = part.affine + np.where(near[:, None] > 0, (shift + (joined @ shift) / degree[:, None]) / 2, shift)
-    return vertices
+        for _ in range(1 + turn):
+            shift = np.where(near[:, None] > 0, (shift + (joined @ shift) / degree) / 2, shift)
+        vertices = part.affine + shift
+    return best
