@@ -1,11 +1,14 @@
 """How good are the meshes made from draws?  Generated families with true correspondences: only synthesis is judged.
 
     python -m benchmarks.synthesis_quality [--family chairs] [--count 40] [--draws 20] [--seed 0] [--json]
-    python -m benchmarks.synthesis_quality --project demo/project [--draws 24]
+    python -m benchmarks.synthesis_quality --project demo/project [--draws 24] [--routes parts labels surface]
 
-With ``--project`` meshes are made from draws of a learnt project, whose segmentations are those of its fit: from parts
-cut along the labels as they are, from parts cut cleanly, from scratch (route `surface`), and as one solid where the
-parts allow (with manifold3d), beside the same figures of the training shapes.  ``--out`` writes contact sheets.
+With ``--project`` meshes are made from draws of a learnt project, whose segmentations are those of its fit, and
+measured beside the training shapes, their parts cut cleanly: by the ``--routes`` `parts` (and as one solid, with
+manifold3d), `labels` (parts cut along the labels as they are) and `surface` (from scratch).  Of the route `parts` is
+asked what a designer would: contact gap and symmetry error within 1.5 times those of the training shapes, no folds, all
+parts on 95 % of the shapes, and a median distance to the nearest training shape above half of theirs to each other.
+``--out`` writes contact sheets of at most SHEET shapes each.
 
 Otherwise two kinds of draws: ``between`` lies half-way between two training shapes with the same parts, ``held out`` is
 a shape that the sources don't contain; both with Gaussian noise on every point, as a generative model would leave it.
@@ -37,8 +40,8 @@ from shapeforge.stages_synthesis import completed, sources_of
 from shapeforge.store import Project
 from shapeforge.synthesis.assemble import SynthesizedShape, synthesize
 from shapeforge.synthesis.cleaning import clean_labels, components, neighbours
+from shapeforge.synthesis.contacts import training_gaps
 from shapeforge.synthesis.measures import raggedness, symmetry_error
-from shapeforge.synthesis.oriented import Orientations
 from shapeforge.synthesis.retrieve import retrieve
 from shapeforge.synthesis.sources import FEWEST_POINTS, Sources, make_sources
 from shapeforge.synthesis.surface import synthesize_surface
@@ -48,6 +51,8 @@ from shapeforge.validation.plausibility import chamfer, contact_distance, novelt
 from shapeforge.validation.statistics import format_table
 
 ADDRESS_TOLERANCE = 0.15
+ROUTES = ("parts", "labels", "surface")
+SHEET = 40
 NOISE = 0.004
 
 
@@ -237,55 +242,82 @@ def run(family_name: str, count: int, n_draws: int, seed: int) -> dict:
     }
 
 
-def from_project(path: str, n_draws: int, seed: int, sheets: str | None = None) -> dict:
+def from_project(
+    path: str, n_draws: int, seed: int, routes: tuple[str, ...] = ROUTES, sheets: str | None = None
+) -> dict:
     """Figures of a project's draws by every route, and of its training shapes."""
     project = Project.open(path)
     machine, mixture = project.machine(), project.mixture()
     if machine is None or mixture is None:
         raise SystemExit(f"{path}: wanted a project with a learnt machine. Run `shapeforge learn` first.")
-    clean = sources_of(project)
+    clean = replace(sources_of(project), keep=len(project.fit_names))
     draws = completed(machine, draw(machine, mixture, n_draws, rng=np.random.default_rng(seed)), clean)
     rng = np.random.default_rng(seed)
-    shapes = [project.shapes.named(name) for name in clean.names]
+    shapes = [clean.get_shape(i) for i in range(len(clean.names))]
     real = [cloud(shape.mesh, rng) for shape in shapes]
     as_labelled = replace(clean, painted=frozenset(clean.names), smooth=False, _cache=OrderedDict())
     makers = {
-        "as labelled": partial(synthesize, sources=as_labelled),
-        "cut cleanly": partial(synthesize, sources=clean),
-        "surface": partial(synthesize_surface, orientations=Orientations(clean)),
+        "labels": partial(synthesize, sources=as_labelled),
+        "parts": partial(synthesize, sources=clean),
+        "surface": partial(synthesize_surface, sources=clean),
     }
-    result = {}
-    for name, make in makers.items():
+    result = {"training": training_figures(shapes, clean, real)}
+    for name in routes:
         begin = time.process_time()
-        made = [make(np.asarray(p, float), e) for p, e in zip(draws.points, draws.exists, strict=True)]
+        made = [makers[name](np.asarray(p, float), e) for p, e in zip(draws.points, draws.exists, strict=True)]
         seconds = (time.process_time() - begin) / n_draws
         result[name] = {"cpu_seconds": seconds, **figures_of(made, draws.exists, clean, real, rng)}
         if sheets:
-            write_sheet(Path(sheets) / f"{project.name} {name}.png", made)
-        if name == "cut cleanly":
+            for start in range(0, len(made), SHEET):
+                name_of = f"{project.name} {name} {start // SHEET + 1}.png"
+                write_sheet(Path(sheets) / name_of, made[start : start + SHEET])
+        if name == "parts":
             result[name]["raggedness"] = float(np.mean([
                 clean.part_of(clean.names.index(source), l).quality.raggedness
                 for shape in made for l, source in enumerate(shape.sources) if source
             ]))  # fmt: skip
-            result[name]["united"] = share_united(made)
-    labels = [np.asarray(l)[s.mesh.face_of_triangle] for s, l in zip(shapes, clean.face_labels, strict=True)]
-    points = [p[np.isfinite(p).all(axis=1)] for p in np.asarray(clean.positions, float)]
-    islands = [n_islands(s.mesh.vertices, s.mesh.triangles, l, clean.n_parts)
+            result[name] |= figures_of_solids(made)
+            result["asked of parts"] = what_is_asked(result[name], result["training"])
+    return result
+
+
+def training_figures(shapes: list[Shape], sources: Sources, real: list[np.ndarray]) -> dict:
+    """The same figures of the training shapes, whose parts are those that meshes are made from."""
+    labels = [np.asarray(l)[s.mesh.face_of_triangle] for s, l in zip(shapes, sources.face_labels, strict=True)]
+    points = [p[np.isfinite(p).all(axis=1)] for p in np.asarray(sources.positions, float)]
+    islands = [n_islands(s.mesh.vertices, s.mesh.triangles, l, sources.n_parts)
                for s, l in zip(shapes, labels, strict=True)]  # fmt: skip
     ragged = [raggedness(s.mesh, l, int(part)) for s, l in zip(shapes, labels, strict=True) for part in np.unique(l)]
     on_mesh = [closest_points(s.mesh, p)[2].mean() for s, p in zip(shapes, points, strict=True)]
-    result["training"] = {
+    gaps = [list(training_gaps(sources.parts_of(t)).values()) for t in range(len(shapes))]
+    return {
         "n": len(shapes),
         "contact_distance": mean_of(
-            [contact_distance(s.mesh, l, clean.touching) for s, l in zip(shapes, labels, strict=True)]
+            [contact_distance(s.mesh, l, sources.touching) for s, l in zip(shapes, labels, strict=True)]
         ),
-        "symmetry_error": float(np.mean([mirror_error(c, clean) for c in real])),
+        "contact_gap": float(np.mean([np.mean(found) for found in gaps if found])),
+        "symmetry_error": float(np.mean([mirror_error(c, sources) for c in real])),
         "islands": float(np.mean(islands)),
         "raggedness": float(np.mean(ragged)),
         "draw_to_surface": float(np.mean(on_mesh)),
         "open_share": float(np.mean([open_share(s.mesh) for s in shapes])),
     }
-    return result
+
+
+def what_is_asked(made: dict, training: dict) -> dict:
+    """The ratios and shares that are asked for, and whether all are as they should be."""
+    figures = {
+        "gap_over_training": made["contact_gap"] / max(training["contact_gap"], 1e-9),
+        "symmetry_over_training": made["symmetry_error"] / max(training["symmetry_error"], 1e-9),
+        "folds": made["folds"],
+        "complete": made["complete"],
+        "novelty_over_real": made["novelty_over_real"],
+    }
+    reached = (
+        figures["gap_over_training"] <= 1.5 and figures["symmetry_over_training"] <= 1.5 and figures["folds"] == 0
+        and figures["complete"] >= 0.95 and figures["novelty_over_real"] > 0.5
+    )  # fmt: skip
+    return figures | {"reached": float(reached)}
 
 
 def figures_of(made: list[SynthesizedShape], exists: np.ndarray, sources: Sources, real: list, rng) -> dict:
@@ -304,6 +336,7 @@ def figures_of(made: list[SynthesizedShape], exists: np.ndarray, sources: Source
     if "largest_gap" in made[0].measures:
         gaps = np.array([shape.measures["largest_gap"] for shape in made])
         found |= {
+            "contact_gap": mean_of([shape.measures["contact_gap"] for shape in made]),
             "gap_mean": float(gaps.mean()), "gap_over_.005": float((gaps > 0.005).mean()),
             "too_deep": float(np.mean([shape.measures["too_deep"] for shape in made])),
             "folds": float(np.mean([shape.measures["folded_triangles"] for shape in made])),
@@ -323,17 +356,18 @@ def has_parts(shape: SynthesizedShape, exists: np.ndarray) -> bool:
     return bool(np.isin(np.flatnonzero(exists), shape.part).all())
 
 
-def share_united(made: list[SynthesizedShape]) -> float | None:
-    """Share of the shapes whose parts are closed and become one solid; None without manifold3d."""
+def figures_of_solids(made: list[SynthesizedShape]) -> dict:
+    """Share of the shapes that become one closed solid, and of those whose parts were closed by themselves."""
     try:
         solid_modeller()
     except ValueError:
-        return None
-    done = 0
+        return {}
+    done = []
     for shape in made:
         with suppress(ValueError):
-            done += unite(shape).measures["open_edges"] == 0
-    return done / len(made)
+            done.append(unite(shape).measures)
+    closed = [one for one in done if one["open_edges"] == 0]
+    return {"united": len(closed) / len(made), "united_as_is": sum("closed" not in one for one in closed) / len(made)}
 
 
 def write_sheet(path: Path, made: list[SynthesizedShape]) -> None:
@@ -361,6 +395,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--family", choices=("chairs", "airplanes", "both"), default="both")
     parser.add_argument("--project", help="a project with a learnt machine, instead of generated families")
+    parser.add_argument("--routes", nargs="+", choices=ROUTES, default=ROUTES, help="with --project")
     parser.add_argument("--out", help="with --project: folder for contact sheets")
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--draws", type=int, default=12)
@@ -369,7 +404,11 @@ def main() -> None:
     options = parser.parse_args()
     families = ("chairs", "airplanes") if options.family == "both" else (options.family,)
     if options.project:
-        figures = {options.project: from_project(options.project, options.draws, options.seed, options.out)}
+        figures = {
+            options.project: from_project(
+                options.project, options.draws, options.seed, tuple(options.routes), options.out
+            )
+        }
         families = ()
     else:
         figures = {}

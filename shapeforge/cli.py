@@ -258,7 +258,7 @@ def synthesize(
         typer.Option(help="parts: of training shapes, bent; surface: a new closed one from the points (first: parts)."),
     ] = None,
     union: Annotated[
-        bool | None, typer.Option("--union/--no-union", help="Make closed parts one solid (needs manifold3d).")
+        bool | None, typer.Option("--union/--no-union", help="Make all parts one closed solid (needs manifold3d).")
     ] = None,
     colours: Annotated[
         str | None, typer.Option(help="parts: one for each; sources: of the materials of the shapes (first: parts).")

@@ -72,9 +72,12 @@ def synthesize(task: Task) -> Iterator[Progress]:
         write_part_names(out / "labels.json", part_names)
     write_text(out / "measures.json", json.dumps(measures, indent=1))
     text = f"{count} shapes in {out}"
+    closed = sum("closed" in found for found in measures.values())
+    if closed:
+        text += f"; {closed} of them had open parts, which were closed first (how much: measures.json)"
     apart = sum("not_united" in found for found in measures.values())
     if apart:
-        text += f"; {apart} of them in parts that are not closed and cannot be united (why: measures.json)"
+        text += f"; {apart} of them in parts that cannot be united (why: measures.json)"
     task.summary |= {"text": text, "count": count, "out": str(out), "names": names}
     yield task.progress("synthesize", count, count, text, state=drawn)
 
@@ -82,18 +85,17 @@ def synthesize(task: Task) -> Iterator[Progress]:
 def mesh_maker(sources: Any, route: str, *, union: bool = False) -> Callable[..., Any]:
     """What makes a ``SynthesizedShape`` of points (K, 3) and parts (L,): of retrieved parts, or a new surface.
 
-    With ``union`` parts become one watertight solid where they are closed; where they are not, its measures say why.
+    With ``union`` parts become one watertight solid; where they cannot, its measures say why.
     Keyword arguments go on to the route.  Raises StageError for an unknown route or a missing package.
     """
     from shapeforge.synthesis.assemble import synthesize as from_parts
-    from shapeforge.synthesis.oriented import Orientations
     from shapeforge.synthesis.surface import synthesize_surface
     from shapeforge.synthesis.union import solid_modeller, unite
 
     if route not in ROUTES:
         raise StageError(f"route: wanted one of {', '.join(ROUTES)}, got {route!r}")
     if route == "surface":
-        return partial(synthesize_surface, orientations=Orientations(sources))
+        return partial(synthesize_surface, sources=sources)
     if not union:
         return partial(from_parts, sources=sources)
     try:

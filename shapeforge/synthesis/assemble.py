@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from shapeforge.collection.materials import PLAIN
-from shapeforge.synthesis.bending import BentPart, bend, count_folds, start_part
+from shapeforge.synthesis.bending import BentPart, bend, count_folds, start_part, unfolded
 from shapeforge.synthesis.contacts import (
+    SLACK,
     carry_along,
     choose_contacts,
     contact_depths,
@@ -18,7 +19,7 @@ from shapeforge.synthesis.contacts import (
     hold_contacts,
     join_islands,
 )
-from shapeforge.synthesis.measures import symmetry_error
+from shapeforge.synthesis.measures import inverted_triangles, symmetry_error
 from shapeforge.synthesis.retrieve import retrieve
 from shapeforge.synthesis.sources import Sources
 from shapeforge.synthesis.surfaces import good_triangles
@@ -27,6 +28,10 @@ CONTACT_ROUNDS = 3
 """Times that the contacts are looked at anew: a part that moved may leave another one behind."""
 GOOD = 0.001
 """Faults (diagonals) of a contact that are not worth another look."""
+WIDE = 0.004
+"""Parts that stay farther (diagonals) apart are taken from one shape or, if they were, from another one ..."""
+RETRIES = 2
+"""... so often, and the best is kept."""
 FOLD = 0.002
 """A folded pair of triangles is as bad as so wide a gap (diagonals)."""
 
@@ -35,9 +40,10 @@ FOLD = 0.002
 class SynthesizedShape:
     """A labelled mesh in normal coordinates: ``part`` (N,) per triangle; ``sources[l]`` is the shape part l came from.
 
-    ``sources`` is "" for absent parts.  ``measures`` is ready for JSON: largest gap and gap per touching pair; how much
-    deeper than on their training shapes parts are in each other, the most and per pair; symmetry error; distance of the
-    handles from the draw (all in diagonals); number of folded triangle pairs.  ``colours`` (N, 3) are those of the
+    ``sources`` is "" for absent parts.  ``measures`` is ready for JSON: largest gap and gap per touching pair, beyond
+    those of the training shapes, and the mean of the whole gaps; how much deeper than on their training shapes parts
+    are in each other, the most and per pair; symmetry error; distance of the handles from the draw (all in diagonals);
+    number of folded triangle pairs.  ``colours`` (N, 3) are those of the
     sources' materials, PLAIN where a source has none; None where none has any.
     """
 
@@ -70,8 +76,41 @@ def synthesize(
         )
     if symmetric:
         points = sources.mirror.made_symmetric(points, sources.part)
-    if shapes is None:
-        shapes = retrieve(points, exists, sources, fixed=fixed).shape
+    if shapes is not None:
+        return _merge(put_together(points, exists, sources, shapes, preview), sources)
+    barred: set[tuple[int, int]] = set()
+    joined: list[tuple[int, int]] = []
+    best: PutTogether | None = None
+    for _ in range(1 if preview else 1 + RETRIES):
+        shapes = retrieve(points, exists, sources, fixed=fixed, joined=joined, barred=barred).shape
+        parts = put_together(points, exists, sources, shapes, preview)
+        best = parts if best is None or parts.cost < best.cost else best
+        apart = {pair: new for pair, (_, new) in parts.gaps.items() if new > WIDE}
+        if not apart:
+            break
+        pair = max(apart, key=apart.__getitem__)
+        if shapes[pair[0]] != shapes[pair[1]]:
+            joined.append(pair)
+        else:
+            worse = max(pair, key=lambda l: float(_misses(parts.bent[l]).mean()))
+            barred.add((worse, int(shapes[worse])))
+    return _merge(best, sources)
+
+
+@dataclass(frozen=True, eq=False)
+class PutTogether:
+    """Bent parts and, per contact, their gaps (see ``contact_gaps``) and depths; how bad all that is, in diagonals."""
+
+    bent: Mapping[int, BentPart]
+    gaps: Mapping[tuple[int, int], tuple[float, float]]
+    depths: Mapping[tuple[int, int], float]
+    cost: float
+
+
+def put_together(
+    points: np.ndarray, exists: np.ndarray, sources: Sources, shapes: np.ndarray, preview: bool
+) -> PutTogether:
+    """The parts of these training shapes bent to the draw, and to each other in as many rounds as it takes."""
     bent: dict[int, BentPart] = {}
     for l in np.flatnonzero(exists & (shapes >= 0)):
         source = sources.part_of(int(shapes[l]), int(l))
@@ -79,9 +118,9 @@ def synthesize(
         if started is not None:
             bent[int(l)] = bend(started, {}, preview=True)
     bent, contacts = join_islands(bent, choose_contacts(bent, sources.touching), sources.touching)
-    best, least, told = bent, np.inf, None
+    best, least, told, stubborn = bent, np.inf, None, set()
     for turn in range(1 if preview else CONTACT_ROUNDS):
-        held = hold_contacts(bent, contacts)
+        held = hold_contacts(bent, contacts, stubborn)
         moving = [l for l in bent if held[l] or (turn == 0 and not preview)]
         if not moving:
             break
@@ -93,23 +132,32 @@ def synthesize(
             best, least, told = dict(bent), faults, touch
         if faults <= GOOD * len(contacts):
             break
+        stubborn |= {pair for pair, (_, new) in touch[0].items() if new > SLACK}
     if told is None:
         told = contact_gaps(best, contacts), {} if preview else contact_depths(best, contacts)
-    return _merge(best, told, sources)
+    cost = (0.0 if least == np.inf else least) + sum(float(_misses(part).mean()) for part in best.values())
+    return PutTogether(best, *told, cost)
+
+
+def _misses(part: BentPart) -> np.ndarray:
+    """Distances (diagonals) of the part's handles from where the draw has them."""
+    known = np.isfinite(part.drawn).all(axis=1)
+    return np.linalg.norm(part.source.handle_rows[known] @ part.x - part.drawn[known], axis=1)
 
 
 def _faults(bent: Mapping[int, BentPart], apart: Mapping, deep: Mapping) -> float:
     """What is wrong with the parts as they are, in diagonals: a round that mends one contact may spoil another."""
     folds = sum(count_folds(part, part.x) for part in bent.values())
-    return sum(apart.values()) + sum(deep.values()) + FOLD * folds
+    return sum(new for _, new in apart.values()) + sum(deep.values()) + FOLD * folds
 
 
-def _merge(bent: Mapping[int, BentPart], told: tuple[Mapping, Mapping], sources: Sources) -> SynthesizedShape:
+def _merge(parts: PutTogether, sources: Sources) -> SynthesizedShape:
     """All parts in one mesh, without triangles that collapsed, and its measures."""
+    bent = parts.bent
     vertices, triangles, part, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int32)], [np.zeros(0, np.int32)], 0
     folds, miss, colours = 0, [], [np.zeros((0, 3), np.uint8)]
     for l, piece in bent.items():
-        moved = piece.vertices
+        moved = unfolded(piece)
         keep = good_triangles(moved, piece.source.triangles)
         vertices.append(moved)
         triangles.append((piece.source.triangles[keep] + count).astype(np.int32))
@@ -117,12 +165,11 @@ def _merge(bent: Mapping[int, BentPart], told: tuple[Mapping, Mapping], sources:
         own = piece.source.colours
         colours.append(np.tile(np.uint8(PLAIN), (int(keep.sum()), 1)) if own is None else own[keep])
         count += len(moved)
-        folds += count_folds(piece, piece.x)
-        known = np.isfinite(piece.drawn).all(axis=1)
-        miss.append(np.linalg.norm(piece.source.handle_rows[known] @ piece.x - piece.drawn[known], axis=1))
+        folds += inverted_triangles(piece.affine, moved, piece.source.triangles, piece.source.neighbours)
+        miss.append(_misses(piece))
     names = sources.part_names
-    gaps = {f"{names[l]} – {names[other]}": gap for (l, other), gap in told[0].items()}
-    deep = {f"{names[l]} – {names[other]}": d for (l, other), d in told[1].items()}
+    gaps = {f"{names[l]} – {names[other]}": new for (l, other), (_, new) in parts.gaps.items()}
+    deep = {f"{names[l]} – {names[other]}": d for (l, other), d in parts.depths.items()}
     placed = np.full((len(sources.part), 3), np.nan)
     for piece in bent.values():
         placed[piece.source.template] = piece.source.handle_rows @ piece.x
@@ -130,6 +177,7 @@ def _merge(bent: Mapping[int, BentPart], told: tuple[Mapping, Mapping], sources:
     measures = {
         "largest_gap": max(gaps.values(), default=0.0),
         "gaps": gaps,
+        "contact_gap": float(np.mean([wide for wide, _ in parts.gaps.values()])) if parts.gaps else None,
         "too_deep": max(deep.values(), default=0.0),
         "depths": deep,
         "symmetry_error": symmetry_error(placed[np.isfinite(placed).all(axis=1)], plane) if bent else None,

@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.sparse import vstack
-from scipy.spatial import cKDTree
+from scipy.sparse import csr_array, vstack
 
 from shapeforge.collection.shape import Mesh
 from shapeforge.synthesis.embedded import Problem, Weights, even_strength, pre_align, solve_exactly, solve_quickly
-from shapeforge.synthesis.measures import inverted_triangles
+from shapeforge.synthesis.measures import inverted_pairs, inverted_triangles
 from shapeforge.synthesis.sources import Anchors, SourcePart
 from shapeforge.synthesis.surfaces import as_mesh
 
@@ -22,6 +21,8 @@ OWN_MAP = 24
 """A piece with at least so many handles is pre-aligned by itself: four legs spread without growing fat."""
 STIFFER = (1.0, 8.0, 64.0)
 """Factors of the regular term to try in turn while the bent part has folds."""
+UNFOLDINGS = 60
+"""Rounds in which vertices about a fold are moved with their neighbours, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,25 +56,33 @@ class BentPart:
 
 def start_part(source: SourcePart, points: Float[np.ndarray, "K 3"]) -> BentPart | None:
     """The part under its affine pre-alignment, each larger piece under its own; None without targets."""
-    known = np.isfinite(points[source.template]).all(axis=1)
-    if not known.any():
+    targets = np.where(np.isfinite(points[source.template]).all(axis=1)[:, None], points[source.template], np.nan)
+    if not np.isfinite(targets).any():
         return None
-    targets = np.where(known[:, None], points[source.template], np.nan)
+    matrix, offset, rest, x = _pre_aligned(source, targets)
+    return BentPart(source, targets, targets, source.vertices @ matrix.T + offset, rest, x, x, source.anchors)
+
+
+def aim(part: BentPart, targets: Float[np.ndarray, "C 3"]) -> BentPart:
+    """The part, as bent so far, with other targets and the pre-alignment to these: what they ask for is no strain."""
+    return replace(part, targets=targets, rest=_pre_aligned(part.source, targets)[2])
+
+
+def _pre_aligned(source: SourcePart, targets: Float[np.ndarray, "C 3"]) -> tuple[np.ndarray, ...]:
+    """The affine map (matrix, offset) of the whole part to its targets, and of the nodes, each with its piece: the
+    linear maps (N, 3, 3) and the graph's unknowns (M, 3)."""
+    known = np.isfinite(targets).all(axis=1)
     nodes = source.graph.nodes
     matrix, offset = pre_align(source.handles[known], targets[known])
     rest = np.broadcast_to(matrix, (len(nodes), 3, 3)).copy()
     moved = nodes @ matrix.T + offset
-    vertex = cKDTree(source.vertices)
-    piece_of_handle = source.piece[vertex.query(source.handles)[1]]
-    piece_of_node = source.piece[vertex.query(nodes)[1]]
-    for c in np.unique(piece_of_node):
-        own = known & (piece_of_handle == c)
+    for c in np.unique(source.piece_of_node):
+        own, at = known & (source.piece_of_handle == c), source.piece_of_node == c
         if own.sum() >= OWN_MAP and own.sum() < known.sum():
             own_matrix, own_offset = pre_align(source.handles[own], targets[own])
-            rest[piece_of_node == c] = own_matrix
-            moved[piece_of_node == c] = nodes[piece_of_node == c] @ own_matrix.T + own_offset
-    x = np.concatenate([rest.transpose(0, 2, 1), moved[:, None]], axis=1).reshape(-1, 3)
-    return BentPart(source, targets, targets, source.vertices @ matrix.T + offset, rest, x, x, source.anchors)
+            rest[at] = own_matrix
+            moved[at] = nodes[at] @ own_matrix.T + own_offset
+    return matrix, offset, rest, np.concatenate([rest.transpose(0, 2, 1), moved[:, None]], axis=1).reshape(-1, 3)
 
 
 def bend(part: BentPart, held: Mapping[int, np.ndarray], *, preview: bool) -> BentPart:
@@ -115,3 +124,30 @@ def count_folds(part: BentPart, x: Float[np.ndarray, "M 3"]) -> int:
     """Folds of the part bent by the unknowns ``x``, beyond those of its mesh (see :func:`inverted_triangles`)."""
     source = part.source
     return inverted_triangles(part.affine, source.rows @ x, source.triangles, source.neighbours)
+
+
+def unfolded(part: BentPart) -> Float[np.ndarray, "V 3"]:
+    """The part's vertices; about what is folded still, they move with their neighbours, until nothing is.
+
+    The affine map folds nothing, and displacements from it that are alike don't either.  The least folded is kept.
+    """
+    source, vertices = part.source, part.vertices
+    best, fewest, n = vertices, np.inf, len(vertices)
+    ends = np.concatenate([source.triangles[:, [0, 1]], source.triangles[:, [1, 2]], source.triangles[:, [2, 0]]])
+    joined = csr_array((np.ones(2 * len(ends)), np.concatenate([ends, ends[:, ::-1]]).T), shape=(n, n))
+    degree = np.maximum(joined.sum(axis=1), 1)[:, None]
+    for turn in range(UNFOLDINGS):
+        pairs = inverted_pairs(part.affine, vertices, source.triangles, source.neighbours)
+        if len(pairs[0]) < fewest:
+            best, fewest = vertices, len(pairs[0])
+        if fewest == 0:
+            break
+        near = np.zeros(n)
+        near[source.triangles[np.concatenate(pairs)]] = 1
+        for _ in range(1 + turn // 5):  # what stays folded is eased from farther around, and more
+            near = np.minimum(near + joined @ near, 1)
+        shift = vertices - part.affine
+        for _ in range(1 + turn):
+            shift = np.where(near[:, None] > 0, (shift + (joined @ shift) / degree) / 2, shift)
+        vertices = part.affine + shift
+    return best

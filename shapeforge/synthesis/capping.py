@@ -42,7 +42,7 @@ def cap(vertices: Vertices, triangles: Triangles, chosen: Bool[np.ndarray, " N"]
     hollow = np.repeat(closed, 3)[cut]
     length = np.linalg.norm(vertices[starts] - vertices[ends], axis=1)[hollow]
     made, around = [np.zeros((0, 3), np.int32)], 0.0
-    for loop in _loops(ends[hollow], starts[hollow]):
+    for loop in loops_of(ends[hollow], starts[hollow]):
         lid = _lid(vertices, loop)
         if len(lid):
             made.append(lid)
@@ -50,7 +50,7 @@ def cap(vertices: Vertices, triangles: Triangles, chosen: Bool[np.ndarray, " N"]
     return np.concatenate(made), max(float(length.sum()) - around, 0.0)
 
 
-def _loops(starts: Int[np.ndarray, " E"], ends: Int[np.ndarray, " E"]) -> list[np.ndarray]:
+def loops_of(starts: Int[np.ndarray, " E"], ends: Int[np.ndarray, " E"]) -> list[np.ndarray]:
     """Closed loops of the directed edges, each vertex once; where loops touch they part at the touching vertex."""
     following: dict[int, list[int]] = {}
     for a, b in zip(starts.tolist(), ends.tolist(), strict=True):

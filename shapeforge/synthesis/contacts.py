@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
+from shapeforge.collection.shape import Mesh
 from shapeforge.collection.surface import closest_points
-from shapeforge.synthesis.bending import BentPart
+from shapeforge.synthesis.bending import BentPart, aim
 from shapeforge.synthesis.depths import depths, pushed_back
 from shapeforge.synthesis.measures import gap
-from shapeforge.synthesis.sources import ANCHORS, Anchors
-from shapeforge.synthesis.surfaces import farthest_points
+from shapeforge.synthesis.sources import ANCHORS, Anchors, SourcePart, land_on
+from shapeforge.synthesis.surfaces import as_mesh, farthest_points
 
 FALLOFF = 0.12
 """Drawn points move along with an anchor up to about this distance (diagonals), so that the part doesn't kink."""
 SLACK = 0.003
 """An anchor may be so much (diagonals) farther from the other part than it was on its training shape."""
+FEWEST_STRAIGHT = 6
+"""A piece with so many anchors is moved and stretched by a contact, but not bent ..."""
+ARRIVED = 0.01
+"""... if a third of these then come so near (diagonals) to the other part; only they are held."""
+STRAIGHT_RIDGE = 0.02
+"""Spread (diagonals) of anchors along an axis from which on they tell how to stretch along it."""
 FARTHEST_CONTACT = 0.06
 """Parts that only one training shape or most others join stay apart if the draw sets them farther apart than this."""
 FARTHEST_ISLAND = 0.12
@@ -75,7 +81,11 @@ def join_islands(
                     close = np.flatnonzero(distance <= distance.min() + 0.01)
                     chosen = close[farthest_points(vertices[close], ANCHORS)]
                     nothing = np.zeros(len(chosen))
-                    held_on = Anchors(chosen, distance[chosen] - distance.min(), np.zeros((len(chosen), 3)), nothing)
+                    found = bent[other].source.template, bent[other].source.handle_rows @ bent[other].x
+                    held_on = Anchors(
+                        chosen, distance[chosen] - distance.min(), np.zeros((len(chosen), 3)), nothing,
+                        *land_on(vertices[chosen], *found),
+                    )  # fmt: skip
                     bent[l] = replace(bent[l], anchors={**bent[l].anchors, other: held_on})
                     contacts.append((min(l, other), max(l, other)))
                     joined = True
@@ -87,13 +97,18 @@ def join_islands(
     return bent, contacts
 
 
-def hold_contacts(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]) -> dict[int, dict[int, np.ndarray]]:
+def hold_contacts(
+    bent: Mapping[int, BentPart], contacts: list[tuple[int, int]], stubborn: Collection[tuple[int, int]] = ()
+) -> dict[int, dict[int, np.ndarray]]:
     """Where the anchors that came loose, or went in too deep, should go: {part: {vertex: position}}.
 
     Loose is what is farther from the other part than on the training shape, too deep what came farther through it.
     Of the two parts of a contact that one moves whose anchors have less far to go (the top ends of other legs may sit
     anywhere under a seat, but a corner of the seat should not reach out for them), and rather one that stretches than
     one that bends: the fin reaches up to the tailplane, the tailplane does not sag onto the fin.
+
+    What is loose goes to the nearest surface; in the contacts that are ``stubborn`` everything goes to the place that
+    corresponds to where it was on the training shape: a small shelf in the middle is as near to one leg as to another.
     """
     loose: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, tuple[bool, float]]] = {}
     for pair in contacts:
@@ -102,6 +117,9 @@ def hold_contacts(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]])
                 anchors = bent[l].anchors[other]
                 here = bent[l].source.rows[anchors.vertices] @ bent[l].x
                 there, _, distance = closest_points(bent[other].surface, here)
+                if pair in stubborn and (distance > anchors.distance + SLACK).any():
+                    there = closest_points(bent[other].surface, _corresponding(anchors, bent[other], there))[0]
+                    distance = np.linalg.norm(there - here, axis=1)
                 moves = distance > anchors.distance + SLACK
                 piece = bent[l].source.piece[anchors.vertices]
                 excess = depths(here, anchors.into, piece, bent[other].surface) - anchors.deep
@@ -110,7 +128,8 @@ def hold_contacts(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]])
                 there = np.where(deep[:, None], here - back[:, None] * anchors.into, there)
                 moves, distance = moves | deep, np.where(deep, back, distance)
                 if moves.any():  # the others are held where they are: free, they would be drawn back
-                    there, moves = np.where(moves[:, None], there, here), np.ones(len(moves), bool)
+                    there = np.where(moves[:, None], there, here)
+                    there, moves = _straight(here, there, piece, bent[other].surface)
                 bending = 2.0 - _stretchiness(bent[l].vertices, here, there - here)
                 # Who sees no depth (a plate into which others go) doesn't get by with doing nothing about it.
                 cost = not deep.any(), bending * float(distance.mean())
@@ -122,6 +141,42 @@ def hold_contacts(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]])
             l, other = min(ways, key=lambda way: loose[way][2])
             held[l].update(zip(loose[l, other][0].tolist(), loose[l, other][1], strict=True))
     return held
+
+
+def _straight(
+    here: np.ndarray, there: np.ndarray, piece: np.ndarray, surface: Mesh
+) -> tuple[Float[np.ndarray, "A 3"], Bool[np.ndarray, " A"]]:
+    """Where the anchors (A, 3) of each piece go if it only moves and stretches along the axes; and which get there.
+
+    Nearest places on a trestle lie this way and that: a shelf that each of its anchors followed would be a wave.
+    """
+    there, held = there.copy(), np.ones(len(here), bool)
+    for one in np.unique(piece):
+        rows = np.flatnonzero(piece == one)
+        if len(rows) < FEWEST_STRAIGHT:
+            continue
+        p, q = here[rows] - here[rows].mean(axis=0), there[rows] - there[rows].mean(axis=0)
+        ridge = STRAIGHT_RIDGE**2
+        scale = np.clip(((p * q).mean(axis=0) + ridge) / ((p**2).mean(axis=0) + ridge), 0.5, 2.0)
+        moved = there[rows].mean(axis=0) + scale * p
+        if np.linalg.norm(moved - there[rows], axis=1).mean() <= SLACK:
+            continue
+        on, _, away = closest_points(surface, moved)
+        near = away <= ARRIVED
+        if near.sum() >= max(3, len(rows) // 3):
+            there[rows[near]], held[rows] = on[near], near
+    return there, held
+
+
+def _corresponding(anchors: Anchors, other: BentPart, instead: np.ndarray) -> Float[np.ndarray, "A 3"]:
+    """Where the anchors are at home on the other part, as it is now; ``instead`` (A, 3) if its points do not tell."""
+    points = np.full((max(int(anchors.landing.max()), int(other.source.template.max())) + 1, 3), np.nan)
+    points[other.source.template] = other.source.handle_rows @ other.x
+    near = points[anchors.landing]
+    weight = np.where(np.isfinite(near).all(axis=2), anchors.weight, 0.0)
+    total = weight.sum(axis=1, keepdims=True)
+    mean = (weight[..., None] * np.nan_to_num(near)).sum(axis=1) / np.maximum(total, 1e-12)
+    return np.where(total > 0.5, mean + anchors.offset, instead)
 
 
 def carry_along(part: BentPart, held: Mapping[int, np.ndarray]) -> BentPart:
@@ -137,10 +192,9 @@ def carry_along(part: BentPart, held: Mapping[int, np.ndarray]) -> BentPart:
     here = source.rows[vertices] @ part.x
     shifts = np.stack([held[v] for v in held]) - here
     handles = source.handle_rows @ part.x
-    piece_of_handle = source.piece[cKDTree(source.vertices).query(source.handles)[1]]
     targets = part.targets.copy()
     for piece in np.unique(source.piece[vertices]):
-        own, at = piece_of_handle == piece, source.piece[vertices] == piece
+        own, at = source.piece_of_handle == piece, source.piece[vertices] == piece
         if not own.any():
             continue
         common = shifts[at].mean(axis=0, keepdims=True)
@@ -154,7 +208,7 @@ def carry_along(part: BentPart, held: Mapping[int, np.ndarray]) -> BentPart:
             (apart, _spreading(handles[own], here[at], apart)),
         ):
             targets[own] += (1 - stretch * (1 - near)) * (weight @ shift)
-    return replace(part, targets=targets)
+    return aim(part, targets)
 
 
 def _stretchiness(points: np.ndarray, anchors: np.ndarray, shifts: np.ndarray) -> float:
@@ -199,15 +253,27 @@ def contact_depths(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]
     return found
 
 
-def contact_gaps(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]) -> dict[tuple[int, int], float]:
-    """Gap of every contact (diagonals), measured from the part whose pieces are to hold on to the other."""
+def contact_gaps(
+    bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]
+) -> dict[tuple[int, int], tuple[float, float]]:
+    """Gap of every contact and how much of it is new (diagonals): the wider of those from its two parts."""
     surfaces = {l: piece.surface for l, piece in bent.items()}
-    gaps = {}
-    for pair in contacts:
-        found = []
-        for l, other in (pair, pair[::-1]):
-            if other in bent[l].anchors:
-                anchors, mesh = bent[l].anchors[other], surfaces[l]
-                found.append(gap(mesh.vertices, mesh.triangles, anchors.vertices, anchors.distance, surfaces[other]))
-        gaps[pair] = min(found)
-    return gaps
+    anchors = {l: piece.anchors for l, piece in bent.items()}
+    pieces = {l: piece.source.piece for l, piece in bent.items()}
+    return {pair: _gap(pair, surfaces, pieces, anchors) for pair in contacts}
+
+
+def training_gaps(parts: Mapping[int, SourcePart]) -> dict[tuple[int, int], float]:
+    """The same (diagonals) of the parts of a training shape that touch, as they are there."""
+    surfaces = {l: as_mesh(part.vertices, part.triangles) for l, part in parts.items()}
+    anchors, pieces = {l: part.anchors for l, part in parts.items()}, {l: part.piece for l, part in parts.items()}
+    pairs = [(l, o) for l in parts for o in parts if l < o and o in anchors[l] and l in anchors[o]]
+    return {pair: _gap(pair, surfaces, pieces, anchors)[0] for pair in pairs}
+
+
+def _gap(pair: tuple[int, int], surfaces: Mapping, pieces: Mapping, anchors: Mapping) -> tuple[float, float]:
+    found = [
+        gap(surfaces[l].vertices, pieces[l], anchors[l][o].vertices, anchors[l][o].distance, surfaces[o])
+        for l, o in (pair, pair[::-1]) if o in anchors[l]
+    ]  # fmt: skip
+    return max(one for one, _ in found), max(new for _, new in found)

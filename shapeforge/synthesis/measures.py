@@ -14,7 +14,7 @@ from shapeforge.collection.shape import Mesh
 from shapeforge.collection.surface import closest_points
 from shapeforge.collection.symmetry import mirrored, symmetry_plane
 from shapeforge.synthesis.cleaning import neighbours
-from shapeforge.synthesis.surfaces import WELD, vertex_components
+from shapeforge.synthesis.surfaces import WELD
 
 RAGGED = 0.006
 UNEXPLAINED = 0.2
@@ -135,24 +135,24 @@ def _lengths(position: np.ndarray, ends: np.ndarray) -> np.ndarray:
 
 def gap(
     vertices: Float[np.ndarray, "V 3"],
-    triangles: Int[np.ndarray, "N 3"],
+    piece: Int[np.ndarray, " V"],
     anchors: Int[np.ndarray, " A"],
     before: Float[np.ndarray, " A"],
     other: Mesh,
-) -> float:
-    """Widest new distance (diagonals) from a component of a part, about its anchors, to the part it should touch.
+) -> tuple[float, float]:
+    """Widest distance (diagonals) from a piece of a part, about its anchors, to the part it should touch; and the
+    widest new one, less the distance ``before`` that the piece's nearest anchor had on the training shape.
 
-    Measured for each connected component that holds an anchor (one leg of four in the air is a gap, though three stand
-    fast), less the distance ``before`` that its nearest anchor had on the training shape.
+    Measured for each ``piece`` that holds an anchor: one leg of four in the air is a gap, though three stand fast.
+    What touches within the part (a rail between legs, which held a shelf that is elsewhere now) hangs together.
     """
-    component = vertex_components(len(vertices), triangles)
     around = cKDTree(vertices[anchors]).query(vertices, distance_upper_bound=CONTACT_REACH)[0] < np.inf
-    holds = np.flatnonzero(around & np.isin(component, component[anchors]))
-    distance, allowed = np.full((2, component.max() + 1), np.inf)
-    np.minimum.at(distance, component[holds], closest_points(other, vertices[holds])[2])
-    np.minimum.at(allowed, component[anchors], before)
-    held = np.unique(component[anchors])
-    return float(np.maximum(distance[held] - allowed[held], 0).max())
+    holds = np.flatnonzero(around & np.isin(piece, piece[anchors]))
+    distance, allowed = np.full((2, piece.max() + 1), np.inf)
+    np.minimum.at(distance, piece[holds], closest_points(other, vertices[holds])[2])
+    np.minimum.at(allowed, piece[anchors], before)
+    held = np.unique(piece[anchors])
+    return float(distance[held].max()), float(np.maximum(distance[held] - allowed[held], 0).max())
 
 
 def symmetry_error(
@@ -180,6 +180,14 @@ def inverted_triangles(
     rest: Float[np.ndarray, "V 3"], bent: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"],
     pairs: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> int:  # fmt: skip
+    """Number of :func:`inverted_pairs`."""
+    return int(inverted_pairs(rest, bent, triangles, pairs)[0].size)
+
+
+def inverted_pairs(
+    rest: Float[np.ndarray, "V 3"], bent: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"],
+    pairs: tuple[np.ndarray, np.ndarray] | None = None,
+) -> tuple[Int[np.ndarray, " F"], Int[np.ndarray, " F"]]:  # fmt: skip
     """Folds that bending made: pairs of neighbours that faced alike at rest (within 60 degrees) and now are opposed.
 
     ``rest`` should hold the vertices after the affine part of the deformation, which folds nothing;
@@ -198,4 +206,5 @@ def inverted_triangles(
         turn.append((normal[first] * normal[second]).sum(axis=1))
     # Files often wind neighbours against each other: compare with how they stood at rest.
     opposed = ((turn[0] > 0.5) & (turn[1] < -0.5)) | ((turn[0] < -0.5) & (turn[1] > 0.5))
-    return int((opposed & thick[first] & thick[second]).sum())
+    opposed &= thick[first] & thick[second]
+    return first[opposed], second[opposed]

@@ -70,22 +70,28 @@ def part_distances(
 def retrieve(
     points: Float[np.ndarray, "K 3"], exists: Bool[np.ndarray, " L"], sources: Sources, *, measure: str = "blend",
     switch: float = SWITCH, candidates: int = CANDIDATES, fixed: Mapping[int, int] | None = None,
+    joined: Iterable[tuple[int, int]] = (), barred: Iterable[tuple[int, int]] = (),
 ) -> Retrieved:  # fmt: skip
     """The training shape for every part of a draw: near points, usable faces, neighbours from one shape if close.
 
     Each part keeps its ``candidates`` nearest usable training parts (ragged, tiny or unexplained ones are passed over);
     then the sum of distances, BLEMISH times the parts' flaws and ``switch`` per touching pair from different shapes
     (more if these parts are unlike on the two) is lowered part by part from several starts.  Mirrored parts come from
-    one shape.
+    one shape, and so do pairs of parts that are to be ``joined``, if any shape has both.  A training
+    shape that is ``barred`` from lending a part (part, shape) does so only where no other has it.
 
     ``fixed`` {part: training shape} are taken from there whatever they cost, if that shape has them, and the others are
     chosen to go with them.
     """
     n_parts = sources.n_parts
-    tied = _tied(n_parts, sources.mirror.parts, exists)
+    joined = [pair for pair in joined if sources.exists[:, list(pair)].all(axis=1).any()]
+    tied = _tied(n_parts, [*sources.mirror.parts, *joined], exists)
     cost = np.full((n_parts, len(sources.names)), np.inf)
     for l in np.flatnonzero(exists):
         cost[l] = part_distances(points, sources, int(l), measure=measure)
+    for l, t in barred:
+        if np.isfinite(np.delete(cost[l], t)).any():
+            cost[l, t] = np.inf
     together = np.stack([cost[tied == tied[l]][exists[tied == tied[l]]].sum(axis=0) if exists[l] else cost[l]
                          for l in range(n_parts)])  # fmt: skip
     choices = {

@@ -31,6 +31,8 @@ NEAR_CONTACT = 0.015
 """... and where nothing does, the nearest surface up to this distance."""
 ANCHORS = 12
 """Points at which a part holds on to each part it touches."""
+LANDING = 6
+"""Corresponding points of the other part that tell where a contact is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,13 +40,18 @@ class Anchors:
     """Where a part holds on to another one.
 
     Its ``vertices`` (A,), their ``distance`` (A,) from the other's surface on their training shape, the direction
-    ``into`` (A, 3) the other (zero where none), and how ``deep`` (A,) they were in there (diagonals).
+    ``into`` (A, 3) the other (zero where none), and how ``deep`` (A,) they were in there (diagonals).  Where in the
+    other part they were: at ``offset`` (A, 3) from the mean of its template points ``landing`` (A, m), weighted by
+    ``weight`` (A, m).
     """
 
     vertices: Int[np.ndarray, " A"]
     distance: Float[np.ndarray, " A"]
     into: Float[np.ndarray, "A 3"]
     deep: Float[np.ndarray, " A"]
+    landing: Int[np.ndarray, "A m"]
+    weight: Float[np.ndarray, "A m"]
+    offset: Float[np.ndarray, "A 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +83,16 @@ class SourcePart:
     def rows(self) -> csr_array:
         """Basis (V, 4N) of the vertices in ``graph``."""
         return self.graph.basis(self.vertices)
+
+    @cached_property
+    def piece_of_handle(self) -> Int[np.ndarray, " C"]:
+        """Number of the piece that each handle lies on."""
+        return self.piece[cKDTree(self.vertices).query(self.handles)[1]]
+
+    @cached_property
+    def piece_of_node(self) -> Int[np.ndarray, " N"]:
+        """Number of the piece of each node of ``graph``."""
+        return self.piece[cKDTree(self.vertices).query(self.graph.nodes)[1]]
 
     @cached_property
     def neighbours(self) -> tuple[np.ndarray, np.ndarray]:
@@ -254,6 +271,17 @@ def _colours_of(
     return mesh.colours[mesh.face_of_triangle[rows[under]]]
 
 
+def land_on(
+    at: Float[np.ndarray, "A 3"], template: Int[np.ndarray, " C"], points: Float[np.ndarray, "C 3"]
+) -> tuple[Int[np.ndarray, "A m"], Float[np.ndarray, "A m"], Float[np.ndarray, "A 3"]]:
+    """``landing``, ``weight`` and ``offset`` of :class:`Anchors` for places ``at`` a part with these points."""
+    count = min(LANDING, len(points))
+    distance, near = (found.reshape(len(at), count) for found in cKDTree(points).query(at, k=count))
+    weight = 1 / (distance**2 + (0.25 * distance.mean(axis=1, keepdims=True)) ** 2 + 1e-12)
+    weight /= weight.sum(axis=1, keepdims=True)
+    return template[near], weight, at - (weight[..., None] * points[near]).sum(axis=1)
+
+
 def _find_anchors(parts: Mapping[int, SourcePart]) -> dict[int, dict[int, Anchors]]:
     """For each part and each other one that it touches, up to ANCHORS vertices of the contact, spread over it."""
     anchors: dict[int, dict[int, Anchors]] = {l: {} for l in parts}
@@ -275,5 +303,6 @@ def _find_anchors(parts: Mapping[int, SourcePart]) -> dict[int, dict[int, Anchor
             chosen = close[farthest_points(parts[l].vertices[close], ANCHORS)]
             into = directions_into(parts[l].vertices, parts[l].piece, chosen, mesh, triangle[rows[chosen]])
             deep = depths(parts[l].vertices[chosen], into, parts[l].piece[chosen], mesh)
-            anchors[l][other] = Anchors(chosen, distance[rows[chosen]], into, deep)
+            landing = land_on(parts[l].vertices[chosen], surface.template, surface.handles)
+            anchors[l][other] = Anchors(chosen, distance[rows[chosen]], into, deep, *landing)
     return anchors

@@ -76,7 +76,7 @@ def refine(
         middle = np.full(len(edges), -1)
         middle[long] = len(vertices) + np.arange(long.sum())
         vertices = np.concatenate([vertices, vertices[edges[long]].mean(axis=1)])
-        triangles, piece_of = _split(vertices, triangles, middle[edge_of_side].reshape(-1, 3))
+        triangles, piece_of = split_sides(vertices, triangles, middle[edge_of_side].reshape(-1, 3))
         parent = parent[piece_of]
     return vertices, triangles.astype(np.int32), parent
 
@@ -90,7 +90,7 @@ def sides_of(triangles: Triangles) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([code // base, code % base], axis=1), edge_of_side.reshape(-1)
 
 
-def _split(vertices: np.ndarray, triangles: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def split_sides(vertices: np.ndarray, triangles: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Triangles (N, 3) with a new vertex on side i (corner i to i+1) where ``middle[:, i]`` >= 0, and their origin."""
     split = middle >= 0
     count = split.sum(axis=1)

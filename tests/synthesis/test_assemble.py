@@ -9,15 +9,15 @@ import pytest
 
 from shapeforge.collection.materials import PLAIN
 from shapeforge.collection.surface import closest_points
-from shapeforge.synthesis import bending
+from shapeforge.synthesis import assemble, bending, contacts
 from shapeforge.synthesis.assemble import synthesize
-from shapeforge.synthesis.bending import bend, count_folds, start_part
+from shapeforge.synthesis.bending import bend, count_folds, start_part, unfolded
 from shapeforge.synthesis.contacts import carry_along, choose_contacts, contact_depths, hold_contacts, join_islands
 from shapeforge.synthesis.depths import depths, pushed_back
 from shapeforge.synthesis.measures import inverted_triangles
-from shapeforge.synthesis.sources import make_sources
+from shapeforge.synthesis.sources import Sources, make_sources
 from shapeforge.synthesis.surfaces import as_mesh
-from tests.synthesis.conftest import PART_NAMES
+from tests.synthesis.conftest import CORNERS, PART_NAMES, QUADS, box_points, make_table
 
 BOTH = np.array([True, True])
 
@@ -124,6 +124,12 @@ def test_what_would_fold_is_bent_stiffer(tables, sources, monkeypatch) -> None:
     stiffer = bend(part, crossed, preview=False)
     assert count_folds(plain, plain.x) > 10
     assert count_folds(stiffer, stiffer.x) == 0
+    # What is left of them is eased where it is.
+    eased = unfolded(plain)
+    assert inverted_triangles(part.affine, eased, part.source.triangles) == 0
+    far = np.abs(at[:, 0]) > 0.2
+    np.testing.assert_allclose(eased[far], plain.vertices[far], atol=0.01)
+    assert np.array_equal(unfolded(part), part.vertices)
     assert count_folds(part, part.start) == 0
 
 
@@ -157,6 +163,81 @@ def test_a_short_shelf_stretches_to_both_sides(tables, sources) -> None:
     shift = (carry_along(part, pulled).targets - part.targets)[:, 0]
     right, middle = part.source.handles[:, 0] > 0.9 * at[:, 0].max(), np.abs(part.source.handles[:, 0]) < 0.05
     assert shift[right].min() > 0.03 and np.abs(shift[middle]).max() < 0.01
+
+
+def shelf_between_walls() -> tuple[Sources, np.ndarray, np.ndarray]:
+    """Sources of one shape, a plate that reaches from wall to wall; its points and their parts."""
+    boxes = [((-0.4, -0.01, -0.2), (0.4, 0.01, 0.2)), ((-0.43, -0.3, -0.2), (-0.4, 0.3, 0.2)),
+             ((0.4, -0.3, -0.2), (0.43, 0.3, 0.2))]  # fmt: skip
+    boxes = [(np.array(low), np.array(high)) for low, high in boxes]
+    vertices = np.concatenate([low + CORNERS * (high - low) for low, high in boxes])
+    quads = np.concatenate([QUADS + 8 * i for i in range(3)])
+    mesh = as_mesh(vertices, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int32))
+    points = np.concatenate([box_points(low, high, 8) for low, high in boxes])
+    shape = replace(make_table(1.0, 1.0, 1.0).shape, mesh=mesh)
+    part = np.repeat([0, 1, 1], 384)
+    labels = np.tile(np.repeat([0, 1, 1], 6), 2)
+    return make_sources(["shelf"], lambda i: shape, [labels], points[None], part, PART_NAMES), points, part
+
+
+def test_a_shelf_that_was_drawn_far_too_short_and_to_one_side_reaches_both_walls() -> None:
+    sources, points, part = shelf_between_walls()
+    draw = np.where((part == 0)[:, None], points * [0.6, 1, 1] - [0.1, 0, 0], points)
+    made = synthesize(draw, BOTH, sources, symmetric=False)
+    assert made.measures["largest_gap"] < 0.004
+    shelf = made.vertices[np.unique(made.triangles[made.part == 0])]
+    assert np.ptp(shelf[:, 0]) > 0.77
+
+
+def test_a_loose_contact_is_sought_where_it_corresponds_to_when_the_nearest_place_did_not_do() -> None:
+    sources, points, part = shelf_between_walls()
+    draw = np.where((part == 0)[:, None], points * [0.1, 1, 1] - [0.2, 0, 0], points)  # all nearer to the left wall
+    bent = {l: start_part(sources.part_of(0, l), draw) for l in (0, 1)}
+    anchors = bent[0].anchors[1]
+    right = bent[0].source.vertices[anchors.vertices, 0] > 0
+    for stubborn, side in ((set(), -1), ({(0, 1)}, 1)):
+        held = hold_contacts({0: bent[0], 1: replace(bent[1], anchors={})}, [(0, 1)], stubborn)[0]
+        assert len(held) == len(anchors.vertices)
+        assert {np.sign(held[int(v)][0]) for v in anchors.vertices[right]} == {side}
+
+
+def test_a_shelf_between_slanted_walls_goes_there_straight_though_nearest_places_lie_this_way_and_that() -> None:
+    x, z = np.meshgrid(np.linspace(-0.3, 0.3, 6), [-0.1, 0.1])
+    here = np.stack([x.ravel(), np.zeros(12), z.ravel()], axis=1)
+    wanted = here * [1.2, 1, 1] + [0, 0.05, 0]
+    wave = wanted + [0, 0.08, 0] * (np.arange(12) % 2)[:, None] - [0, 0.04, 0]
+    floor = as_mesh(np.array([[-2, 0.05, -2], [2, 0.05, -2], [0, 0.05, 3]]), np.array([[0, 1, 2]], np.int32))
+    there, held = contacts._straight(here, wave, np.zeros(12, int), floor)
+    assert held.all() and np.abs(there - wanted).max() < 0.01
+    few, held = contacts._straight(here[:4], wave[:4], np.zeros(4, int), floor)
+    assert held.all() and np.array_equal(few, wave[:4])  # four anchors say too little
+
+
+def test_parts_that_stay_apart_are_taken_from_elsewhere_and_the_best_is_kept(tables, sources, monkeypatch) -> None:
+    asked, costs = [], []
+    really, put_together = assemble.retrieve, assemble.put_together
+
+    def recording(*given, joined, barred, **more):
+        asked.append((list(joined), set(barred)))
+        return really(*given, joined=joined, barred=barred, **more)
+
+    def measured(*given):
+        costs.append(put_together(*given))
+        return costs[-1]
+
+    monkeypatch.setattr(assemble, "retrieve", recording)
+    monkeypatch.setattr(assemble, "put_together", measured)
+    draw = tables[0].points.copy()
+    draw[384:] = tables[4].points[384:]  # legs of another table, which stand too far in
+    monkeypatch.setattr(assemble, "WIDE", 1.0)
+    plain = synthesize(draw, BOTH, sources)
+    assert asked == [([], set())]
+    monkeypatch.setattr(assemble, "WIDE", -1.0)  # as if nothing was ever near enough
+    made = synthesize(draw, BOTH, sources)
+    assert plain.sources == (tables[0].shape.name, tables[4].shape.name)
+    assert [(joined, len(barred)) for joined, barred in asked[1:]] == [([], 0), ([(0, 1)], 0), ([(0, 1)], 1)]
+    assert len({tuple(part.source.shape for part in one.bent.values()) for one in costs[1:]}) == 3
+    assert made.measures == assemble._merge(min(costs[1:], key=lambda one: one.cost), sources).measures
 
 
 def test_triangles_without_a_side_do_not_fold() -> None:

@@ -1,12 +1,15 @@
-"""From scratch: clouds become denser and know the way out, and a closed labelled surface grows around them."""
+"""From scratch: distances are signed, and a closed labelled surface is the mean of several shapes' bent parts."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from shapeforge.collection.surface import closest_points
-from shapeforge.synthesis.oriented import Orientations, between
+from shapeforge.synthesis.distance_field import signed_distance, winding_number
+from shapeforge.synthesis.isosurface import isosurface
 from shapeforge.synthesis.sources import Sources, make_sources
 from shapeforge.synthesis.surface import synthesize_surface
 from shapeforge.synthesis.surfaces import as_mesh
@@ -44,12 +47,16 @@ def tables() -> list[Table]:
 
 
 @pytest.fixture(scope="module")
-def sources(tables: list[Table]) -> Sources:
+def table_part_of(tables: list[Table]) -> np.ndarray:
     n_top = len(even_points(*np.zeros((2, 3)), np.ptp(tables[0].shape.mesh.vertices[:8], axis=0)))
-    part = (np.arange(len(tables[0].points)) >= n_top).astype(np.int32)
+    return (np.arange(len(tables[0].points)) >= n_top).astype(np.int32)
+
+
+@pytest.fixture(scope="module")
+def sources(tables: list[Table], table_part_of: np.ndarray) -> Sources:
     return make_sources(
         [t.shape.name for t in tables], lambda i: tables[i].shape, [t.faces for t in tables],
-        np.stack([t.points for t in tables]), part, PART_NAMES,
+        np.stack([t.points for t in tables]), table_part_of, PART_NAMES,
     )  # fmt: skip
 
 
@@ -58,46 +65,9 @@ def cell() -> float:
     return 0.01
 
 
-def test_points_between_two_of_a_sphere_lie_on_it() -> None:
-    rng = np.random.default_rng(0)
-    points = rng.normal(size=(40, 3))
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
-    turn = 0.3 * rng.normal(size=(40, 3))
-    others = points + turn - (turn * points).sum(axis=1, keepdims=True) * points
-    others /= np.linalg.norm(others, axis=1, keepdims=True)
-    both = np.concatenate([points, others])
-    pairs = np.stack([np.arange(40), 40 + np.arange(40)], axis=1)
-    made, normals = between(both, both, pairs)
-    angle = np.arccos((points * others).sum(axis=1))
-    assert np.array_equal(made[:80], both)
-    # The chord's middle is angle^2 / 8 inside, the new point two powers better.
-    assert (np.abs(np.linalg.norm(made[80:], axis=1) - 1) < angle**4 / 20).all() and angle.max() > 0.5
-    assert np.allclose(normals[80:], made[80:] / np.linalg.norm(made[80:], axis=1, keepdims=True))
-
-
-def test_normals_and_thickness_are_those_of_the_boxes(tables, sources) -> None:
-    normals, thickness = Orientations(sources).of_shape(0)
-    top = tables[0].shape.mesh.vertices[:8, 1]
-    over = (sources.part == 0) & (np.abs(tables[0].points[:, 1] - top.max()) < 1e-6)
-    assert (normals[over, 1] > 0.99).mean() > 0.97
-    assert np.median(thickness[over]) == pytest.approx(np.ptp(top), rel=0.35)
-    leg = tables[0].shape.mesh.vertices[8:16]
-    front = (sources.part == 1) & (np.abs(tables[0].points[:, 2] - leg[:, 2].min()) < 1e-6)
-    assert front.sum() > 20 and (normals[front, 2] < -0.99).mean() > 0.95
-
-
-def test_the_cloud_is_denser_and_stays_on_the_surface(tables, sources) -> None:
-    draw = tables[0].points
-    plain, dense = (Orientations(sources).cloud(draw, BOTH, refinements=n) for n in (0, 1))
-    assert len(plain.points) == len(draw) and len(dense.points) > 2 * len(draw)
-    away = closest_points(tables[0].shape.mesh, dense.points)[2]
-    assert np.quantile(away, 0.99) < 2e-3
-    assert np.allclose(np.linalg.norm(dense.normals, axis=1), 1)
-
-
 def test_a_table_from_scratch_is_closed_and_like_the_draw(tables, sources, cell) -> None:
     halfway = (tables[0].points + tables[1].points) / 2
-    made = synthesize_surface(halfway, BOTH, Orientations(sources), cell=cell)
+    made = synthesize_surface(halfway, BOTH, sources, cell=cell)
     assert made.measures["open_edges"] == 0 and made.sources == ("", "")
     assert made.measures["n_triangles"] == len(made.triangles) == len(made.part)
     mesh = as_mesh(made.vertices, made.triangles)
@@ -112,13 +82,13 @@ def test_a_table_from_scratch_is_closed_and_like_the_draw(tables, sources, cell)
 
 
 def test_a_part_that_is_switched_off_is_not_there(tables, sources, cell) -> None:
-    made = synthesize_surface(tables[0].points, np.array([True, False]), Orientations(sources), cell=cell)
+    made = synthesize_surface(tables[0].points, np.array([True, False]), sources, cell=cell)
     assert set(made.part.tolist()) == {0} and made.measures["open_edges"] == 0
     assert np.ptp(made.vertices[:, 1]) < 0.2
 
 
 def test_the_same_draw_gives_the_same_bytes(tables, sources, cell) -> None:
-    made = [synthesize_surface(tables[2].points, BOTH, Orientations(sources), cell=cell) for _ in range(2)]
+    made = [synthesize_surface(tables[2].points, BOTH, sources, cell=cell) for _ in range(2)]
     assert made[0].vertices.tobytes() == made[1].vertices.tobytes()
 
 
@@ -127,4 +97,44 @@ def test_the_same_draw_gives_the_same_bytes(tables, sources, cell) -> None:
 )
 def test_other_draws_are_refused(tables, sources, rows, parts, message) -> None:
     with pytest.raises(ValueError, match=message):
-        synthesize_surface(tables[0].points[:rows], parts, Orientations(sources))
+        synthesize_surface(tables[0].points[:rows], parts, sources)
+
+
+def test_distances_are_those_of_a_sphere_and_overlaps_count_as_inside() -> None:
+    steps = np.stack(np.meshgrid(*[np.linspace(-1, 1, 41)] * 3, indexing="ij"), axis=-1)
+    ball, corners = isosurface(0.6 - np.linalg.norm(steps, axis=-1), 0.0)
+    ball = -1 + 0.05 * ball
+    both = np.concatenate([ball, ball + [0.4, 0.0, 0.0]])
+    args = np.concatenate([corners, corners + len(ball)]), np.full(3, -1.0), 0.05, (50, 41, 41)
+    at = -1 + 0.05 * np.stack(np.meshgrid(np.arange(50), np.arange(41), np.arange(41), indexing="ij"), axis=-1)
+    depth = [0.6 - np.linalg.norm(at - [x, 0, 0], axis=-1) for x in (0.0, 0.4)]
+    sure = np.minimum(np.abs(depth[0]), np.abs(depth[1])) > 0.01
+    expected = (depth[0] > 0).astype(int) + (depth[1] > 0)
+    assert np.array_equal(winding_number(both, *args)[sure], expected[sure])
+    field = signed_distance(both, *args, 0.15)
+    assert np.array_equal(field[sure] > 0, expected[sure] > 0)
+    outside = sure & (expected == 0)
+    assert np.abs(field - np.clip(np.maximum(*depth), -0.15, 0.15))[outside].max() < 0.01
+
+
+def test_a_part_is_the_mean_of_those_that_are_like_it(tables, sources, cell) -> None:
+    halfway = (tables[0].points + tables[1].points) / 2
+    made = synthesize_surface(halfway, BOTH, sources, cell=cell)
+    assert all(len(names) > 1 for names in made.measures["lenders"].values())
+    # Bent to one place, boxes are alike: the mean is as thin as they are.
+    top = made.vertices[np.unique(made.triangles[made.part == 0])]
+    assert np.ptp(top[:, 1]) == pytest.approx(np.ptp(halfway[sources.part == 0, 1]), abs=cell)
+
+
+def test_colours_are_those_of_the_nearest_lender(tables, table_part_of, cell) -> None:
+    red, blue = np.uint8([200, 0, 0]), np.uint8([0, 0, 200])
+    coloured = [
+        replace(t.shape, mesh=replace(t.shape.mesh, colours=np.where((t.faces == 0)[:, None], red, blue)))
+        for t in tables
+    ]
+    own = make_sources(
+        [t.shape.name for t in tables], lambda i: coloured[i], [t.faces for t in tables],
+        np.stack([t.points for t in tables]), table_part_of, PART_NAMES,
+    )  # fmt: skip
+    made = synthesize_surface(tables[0].points, BOTH, own, cell=cell)
+    assert (made.colours[made.part == 0] == red).all() and (made.colours[made.part == 1] == blue).all()

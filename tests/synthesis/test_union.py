@@ -1,4 +1,4 @@
-"""Parts become one solid where they are closed, and words say what to do where that cannot be."""
+"""Parts become one solid, those with holes after these were closed; words say what to do where that cannot be."""
 
 from __future__ import annotations
 
@@ -8,21 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from shapeforge.synthesis import union
 from shapeforge.synthesis.assemble import synthesize
+from shapeforge.synthesis.closing import closed_solids
 from shapeforge.synthesis.measures import open_edges
-from shapeforge.synthesis.union import _wound_outwards, unite
+from shapeforge.synthesis.union import unite
+from tests.synthesis.conftest import CORNERS, QUADS
 
 BOTH = np.array([True, True])
-
-
-def test_faces_wound_at_random_are_turned_outwards(tables) -> None:
-    mesh = tables[0].shape.mesh
-    box = mesh.triangles[np.isin(mesh.triangles, np.arange(8)).all(axis=1)]
-    shuffled = np.where(np.random.default_rng(0).random(len(box))[:, None] < 0.5, box, box[:, ::-1])
-    turned = _wound_outwards(mesh.vertices, shuffled)
-    assert open_edges(shuffled) > 0 and open_edges(turned) == 0
-    a, b, c = (mesh.vertices[turned[:, i]] for i in range(3))
-    assert np.einsum("ij,ij->", a, np.cross(b, c)) > 0
 
 
 def test_without_the_package_the_remedy_is_named(tables, sources, monkeypatch) -> None:
@@ -44,12 +37,23 @@ def test_parts_become_one_closed_solid(tables, sources) -> None:
     assert low[:, 1].max() < united.vertices[:, 1].max() - 0.005
 
 
-def test_open_parts_are_named(tables, sources) -> None:
+def test_open_parts_are_closed_and_told(tables, sources) -> None:
     pytest.importorskip("manifold3d", reason="the extra `union` is not installed")
     made = synthesize(tables[0].points, BOTH, sources)
     legs = np.flatnonzero(made.part == 1)
     keep = np.ones(len(made.part), bool)
-    keep[legs[:3]] = False
-    holed = replace(made, triangles=made.triangles[keep], part=made.part[keep])
-    with pytest.raises(ValueError, match="legs is not a closed solid.*surface"):
-        unite(holed)
+    keep[legs[0]] = False
+    united = unite(replace(made, triangles=made.triangles[keep], part=made.part[keep]))
+    assert united.measures["open_edges"] == open_edges(united.triangles) == 0
+    # One leg of four had a hole.
+    assert list(united.measures["closed"]) == ["legs"] and 0.2 < united.measures["closed"]["legs"] < 0.3
+    assert "closed" not in unite(made).measures
+
+
+def test_what_cannot_be_a_solid_is_named(tables, sources, monkeypatch) -> None:
+    pytest.importorskip("manifold3d", reason="the extra `union` is not installed")
+    open_box = closed_solids(CORNERS, QUADS[:, :3])[0]
+    broken = replace(open_box, triangles=open_box.triangles[1:])
+    monkeypatch.setattr(union, "closed_solids", lambda vertices, triangles: [broken])
+    with pytest.raises(ValueError, match="top cannot be closed.*surface"):
+        unite(synthesize(tables[0].points, BOTH, sources))
