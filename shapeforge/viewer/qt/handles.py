@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from shapeforge.viewer.display import Mark
 from shapeforge.viewer.picking import camera_axes
+from shapeforge.viewer.pulling import handles_of, pull
 from shapeforge.viewer.qt.view3d import View3D
 from shapeforge.viewer.sculptor import Sculptor
 from shapeforge.viewer.session import Session
@@ -37,14 +38,14 @@ class Handles:
         """The shape has these points now; the handle in hand stays the same template point."""
         self.points = points
         if self.held is None:
-            self.shown = self.sculptor.handles(points)
+            self.shown = handles_of(points)
 
     def _grab(self, x: float, y: float) -> bool:
         """Take hold of the handle under the pointer, if there is one."""
         for k in self.shown:
             place = self.view.place_of(self.points[k])
             if np.hypot(place[0] - x, place[1] - y) < GRAB_PIXELS:
-                self.held = (int(k), self.points[k].copy(), self.sculptor.pull(int(k), self.locked()))
+                self.held = (int(k), self.points[k].copy(), pull(self.sculptor, int(k), self.locked()))
                 return True
         return False
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from PySide6.QtCore import Qt, QTimer, Signal
 from PySide6.QtGui import QPixmap
 from PySide6.QtWidgets import QFrame, QGridLayout, QWidget
 
-from shapeforge.viewer.mesh_worker import Made
+from shapeforge.viewer.mesh_worker import Made, Wish
 from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.view3d import View3D
 from shapeforge.viewer.qt.widgets import Clickable, ElidedLabel, Picture, button, column, framed, label, row, scrolled
@@ -181,11 +182,18 @@ class Shows:
             place.centre.setFocus()
             return
         recipes, names, wanted = [], [], []
-        for _ in range(CARDS):
-            base = place.sculptor.random_base()
-            recipes.append(Recipe("random", base, origin=f"draw {place.sculptor._draws}"))
-            names.append(f"draw {place.sculptor._draws}")
-            wanted.append((place.sculptor.points(recipes[-1]), place.sculptor.exists(recipes[-1])))
+        sculptor, locked = place.sculptor, place.inspector.locked
+        for number in range(CARDS):
+            drawn = place.drawn()
+            drawn = replace(
+                drawn,
+                sliders=sculptor.kept(locked, drawn.base),
+                route=sculptor.recipe.route,
+                union=sculptor.recipe.union,
+            )
+            recipes.append(drawn)
+            names.append(drawn.origin)
+            wanted.append(Wish(number, sculptor.points(drawn), sculptor.exists(drawn), True, route=drawn.route))
         self.gallery.show_recipes(recipes, names, place.session.theme)
         place.worker.ask_besides(wanted)
         self.show_pictures()
@@ -210,10 +218,10 @@ class Shows:
             )
             return take_picture(View((layer,)), CARD, theme, transparent=True)
 
-        return self.place.thumbnails.pixmap(("gallery", id(recipe), made is None, theme, sculptor.inks.tobytes()), take)
+        return self.place.thumbnails.pixmap(("gallery", id(recipe), made is None, theme, sculptor.inks.tobytes(),
+                                            self.place.session.mesh_colours), take)  # fmt: skip
 
     def _take(self, i: int) -> None:
         recipe = self.gallery.recipes[i]
         self.show_gallery(False)
-        self.place._end_between()
-        self.place._start(recipe)
+        self.place.take_up(recipe)
