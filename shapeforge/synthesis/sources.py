@@ -92,6 +92,11 @@ class SourcePart:
         """The handles' normal matrix (4N, 4N), all of one weight: it is the same for every draw."""
         return (self.handle_rows.T @ self.handle_rows).toarray()
 
+    def prepare(self) -> None:
+        """Make now what is otherwise made when the part is first bent."""
+        for name in ("graph", "rows", "neighbours", "handle_rows", "handle_normal"):
+            getattr(self, name)
+
 
 @dataclass(frozen=True, eq=False)
 class Sources:

@@ -23,6 +23,7 @@ from shapeforge.synthesis.sources import touching_shares
 from shapeforge.viewer.display import MeshLayer, PointLayer
 from shapeforge.viewer.palette import label_colours
 from shapeforge.viewer.readiness import group_of
+from shapeforge.viewer.resemblance import nearest_shape, resemblance
 from shapeforge.viewer.session import Session
 from shapeforge.viewer.slider_names import changes, choose_names, what_moves
 
@@ -256,13 +257,8 @@ class Sculptor:
 
     def nearest(self, points: Float[np.ndarray, "K 3"]) -> tuple[str, float]:
         """The shape of the family nearest to these points and the mean distance (diagonals) over the points of both."""
-        away = np.linalg.norm(self.positions - points, axis=2)
-        both = np.isfinite(away)
-        share = both.sum(axis=1) / max(int(np.isfinite(points).all(axis=1).sum()), 1)
-        mean = np.where(both, away, 0).sum(axis=1) / np.maximum(both.sum(axis=1), 1)
-        mean = np.where(share > 0.5, mean, np.inf)
-        best = int(mean.argmin())
-        return self.shape_names[best], float(mean[best])
+        index, distance = nearest_shape(self.positions, points)
+        return self.shape_names[index], distance
 
     def other_end(self, name: str) -> str:
         """A shape to go to from ``name``: the one least like it in its group with the same parts, else among all.
@@ -284,9 +280,7 @@ class Sculptor:
         self, embedding: Float[np.ndarray, "T 2"], points: Float[np.ndarray, "K 3"]
     ) -> tuple[float, float]:
         """Where the shape in hand lies on a map of the family: among the shapes it resembles most."""
-        away = np.nan_to_num(np.linalg.norm(self.positions - points, axis=2), nan=0.15).mean(axis=1)
-        weight = np.exp(-((away - away.min()) / max(0.25 * float(away.min()), 0.004)))
-        x, y = (weight[:, None] * embedding).sum(axis=0) / weight.sum()
+        x, y = resemblance(self.positions, points) @ embedding
         return float(x), float(y)
 
     # ---- words ---------------------------------------------------------------------------------------------------
