@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from jaxtyping import Float, Int
 
 from shapeforge.collection import _kernels_surface
 from shapeforge.collection.shape import Mesh
+
+
+class SearchedMesh(Mesh):
+    """A mesh that is asked for closest points again and again: it keeps its tree of boxes."""
+
+    @cached_property
+    def boxes(self) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+        """Corners (N, 3, 3) of the triangles and the tree over them."""
+        return _boxes(self)
+
+
+def _boxes(mesh: Mesh) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    corners = np.ascontiguousarray(mesh.vertices[mesh.triangles], np.float64)
+    return corners, _kernels_surface.build_tree(corners.min(axis=1), corners.max(axis=1), corners.mean(axis=1))
 
 
 def closest_points(
@@ -21,8 +37,7 @@ def closest_points(
     queries = np.ascontiguousarray(queries, np.float64)
     if not np.isfinite(queries).all():
         raise ValueError("queries: wanted finite positions, got NaN or infinity; leave absent points out")
-    corners = np.ascontiguousarray(mesh.vertices[mesh.triangles], np.float64)
-    tree = _kernels_surface.build_tree(corners.min(axis=1), corners.max(axis=1), corners.mean(axis=1))
+    corners, tree = mesh.boxes if isinstance(mesh, SearchedMesh) else _boxes(mesh)
     positions, triangle = np.empty_like(queries), np.empty(len(queries), np.int64)
     distance = _kernels_surface.closest_points(corners, *tree, queries, positions, triangle)
     return positions, triangle, distance

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import vstack
-from scipy.spatial import cKDTree
 
 from shapeforge.collection.shape import Mesh
 from shapeforge.synthesis.embedded import Problem, Weights, even_strength, pre_align, solve_exactly, solve_quickly
@@ -42,12 +42,12 @@ class BentPart:
     x: Float[np.ndarray, "M 3"]
     anchors: Mapping[int, Anchors]
 
-    @property
+    @cached_property
     def vertices(self) -> Float[np.ndarray, "V 3"]:
         """Vertices as bent so far."""
         return self.source.rows @ self.x
 
-    @property
+    @cached_property
     def surface(self) -> Mesh:
         """The bent part as a mesh."""
         return as_mesh(self.vertices, self.source.triangles)
@@ -63,9 +63,7 @@ def start_part(source: SourcePart, points: Float[np.ndarray, "K 3"]) -> BentPart
     matrix, offset = pre_align(source.handles[known], targets[known])
     rest = np.broadcast_to(matrix, (len(nodes), 3, 3)).copy()
     moved = nodes @ matrix.T + offset
-    vertex = cKDTree(source.vertices)
-    piece_of_handle = source.piece[vertex.query(source.handles)[1]]
-    piece_of_node = source.piece[vertex.query(nodes)[1]]
+    piece_of_handle, piece_of_node = source.piece_of_handle, source.piece_of_node
     for c in np.unique(piece_of_node):
         own = known & (piece_of_handle == c)
         if own.sum() >= OWN_MAP and own.sum() < known.sum():

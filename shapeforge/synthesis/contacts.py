@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from shapeforge.collection.surface import closest_points
@@ -137,7 +136,7 @@ def carry_along(part: BentPart, held: Mapping[int, np.ndarray]) -> BentPart:
     here = source.rows[vertices] @ part.x
     shifts = np.stack([held[v] for v in held]) - here
     handles = source.handle_rows @ part.x
-    piece_of_handle = source.piece[cKDTree(source.vertices).query(source.handles)[1]]
+    piece_of_handle = source.piece_of_handle
     targets = part.targets.copy()
     for piece in np.unique(source.piece[vertices]):
         own, at = piece_of_handle == piece, source.piece[vertices] == piece
@@ -207,7 +206,8 @@ def contact_gaps(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]) 
         found = []
         for l, other in (pair, pair[::-1]):
             if other in bent[l].anchors:
-                anchors, mesh = bent[l].anchors[other], surfaces[l]
-                found.append(gap(mesh.vertices, mesh.triangles, anchors.vertices, anchors.distance, surfaces[other]))
+                anchors, component = bent[l].anchors[other], bent[l].source.component
+                at, before = anchors.vertices, anchors.distance
+                found.append(gap(bent[l].vertices, component, at, before, surfaces[other]))
         gaps[pair] = min(found)
     return gaps

@@ -14,7 +14,7 @@ from shapeforge.collection.shape import Mesh
 from shapeforge.collection.surface import closest_points
 from shapeforge.collection.symmetry import mirrored, symmetry_plane
 from shapeforge.synthesis.cleaning import neighbours
-from shapeforge.synthesis.surfaces import WELD, vertex_components
+from shapeforge.synthesis.surfaces import WELD
 
 RAGGED = 0.006
 UNEXPLAINED = 0.2
@@ -135,17 +135,17 @@ def _lengths(position: np.ndarray, ends: np.ndarray) -> np.ndarray:
 
 def gap(
     vertices: Float[np.ndarray, "V 3"],
-    triangles: Int[np.ndarray, "N 3"],
+    component: Int[np.ndarray, " V"],
     anchors: Int[np.ndarray, " A"],
     before: Float[np.ndarray, " A"],
     other: Mesh,
 ) -> float:
     """Widest new distance (diagonals) from a component of a part, about its anchors, to the part it should touch.
 
-    Measured for each connected component that holds an anchor (one leg of four in the air is a gap, though three stand
-    fast), less the distance ``before`` that its nearest anchor had on the training shape.
+    Measured for each connected ``component`` (its number for every vertex) that holds an anchor (one leg of four in
+    the air is a gap, though three stand fast), less the distance ``before`` that its nearest anchor had on the training
+    shape.
     """
-    component = vertex_components(len(vertices), triangles)
     around = cKDTree(vertices[anchors]).query(vertices, distance_upper_bound=CONTACT_REACH)[0] < np.inf
     holds = np.flatnonzero(around & np.isin(component, component[anchors]))
     distance, allowed = np.full((2, component.max() + 1), np.inf)

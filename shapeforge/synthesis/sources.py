@@ -21,7 +21,13 @@ from shapeforge.synthesis.embedded import DeformationGraph, build_graph
 from shapeforge.synthesis.measures import PartQuality
 from shapeforge.synthesis.mirror import FamilyMirror, find_mirror
 from shapeforge.synthesis.parts import cut_mesh, cut_part
-from shapeforge.synthesis.surfaces import as_mesh, farthest_points, touching_pieces
+from shapeforge.synthesis.surfaces import (
+    as_mesh,
+    distinct_triangles,
+    farthest_points,
+    touching_pieces,
+    vertex_components,
+)
 
 FEWEST_POINTS = 6
 """Corresponding points that a part needs on a shape, or it counts as absent there."""
@@ -78,6 +84,26 @@ class SourcePart:
         return self.graph.basis(self.vertices)
 
     @cached_property
+    def piece_of_handle(self) -> Int[np.ndarray, " C"]:
+        """The piece of the vertex nearest to each handle."""
+        return self.piece[cKDTree(self.vertices).query(self.handles)[1]]
+
+    @cached_property
+    def piece_of_node(self) -> Int[np.ndarray, " N"]:
+        """The piece of the vertex nearest to each node of ``graph``."""
+        return self.piece[cKDTree(self.vertices).query(self.graph.nodes)[1]]
+
+    @cached_property
+    def component(self) -> Int[np.ndarray, " V"]:
+        """Number of the connected component of every vertex."""
+        return vertex_components(len(self.vertices), self.triangles)
+
+    @cached_property
+    def distinct(self) -> Bool[np.ndarray, " N"]:
+        """True for the first of equal triangles."""
+        return distinct_triangles(self.triangles)
+
+    @cached_property
     def neighbours(self) -> tuple[np.ndarray, np.ndarray]:
         """Pairs of triangles with a common edge."""
         return neighbours(self.vertices, self.triangles)[:2]
@@ -94,8 +120,9 @@ class SourcePart:
 
     def prepare(self) -> None:
         """Make now what is otherwise made when the part is first bent."""
-        for name in ("graph", "rows", "neighbours", "handle_rows", "handle_normal"):
-            getattr(self, name)
+        for name, value in vars(type(self)).items():
+            if isinstance(value, cached_property):
+                getattr(self, name)
 
 
 @dataclass(frozen=True, eq=False)
