@@ -228,7 +228,7 @@ def slider_times(family: TrueFamily, seed: int, n_moves: int) -> dict[str, float
         handles_of(now)
         resemblance(moves.positions, now)
         mesh = MeshLayer("mesh", made.vertices, made.triangles, label_colours(np.asarray(made.part, np.int64), inks))
-        scene.show(Display((View((mesh, dots(now))),)))
+        scene.show(Display((View((mesh, dots(now)), moves=True),)))
         scene.pixels()
 
     def final() -> SynthesizedShape:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -11,13 +12,31 @@ from shapeforge.collection import _kernels_surface
 from shapeforge.collection.shape import Mesh
 
 
+@dataclass(frozen=True, eq=False)
 class SearchedMesh(Mesh):
-    """A mesh that is asked for closest points again and again: it keeps its tree of boxes."""
+    """A mesh that is asked for closest points again and again: it keeps its tree of boxes.
+
+    Moved, it has the tree of the mesh at ``rest`` with other boxes: answers are exact, however far it has moved.
+    """
+
+    rest: Mesh | None = None
 
     @cached_property
     def boxes(self) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
         """Corners (N, 3, 3) of the triangles and the tree over them."""
-        return _boxes(self)
+        if not isinstance(self.rest, SearchedMesh):
+            return _boxes(self)
+        corners = np.ascontiguousarray(self.vertices[self.triangles], np.float64)
+        order, _, _, first, count, right = self.rest.boxes[1]
+        low, high = _kernels_surface.refit_tree(corners, order, first, count, right)
+        return corners, (order, low, high, first, count, right)
+
+    def moved(self, vertices: Float[np.ndarray, "V 3"]) -> SearchedMesh:
+        """The same connectivity with other vertex positions."""
+        rest = self if self.rest is None else self.rest
+        return SearchedMesh(
+            vertices, self.triangles, self.face_of_triangle, self.n_faces, self.source, self.colours, rest
+        )
 
 
 def _boxes(mesh: Mesh) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:

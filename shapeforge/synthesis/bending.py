@@ -14,7 +14,6 @@ from shapeforge.collection.shape import Mesh
 from shapeforge.synthesis.embedded import Problem, Weights, even_strength, pre_align, solve_exactly, solve_quickly
 from shapeforge.synthesis.measures import inverted_triangles
 from shapeforge.synthesis.sources import Anchors, SourcePart
-from shapeforge.synthesis.surfaces import as_mesh
 
 ANCHOR_STRENGTH = 20.0
 """Weight of an anchor, in constraints per node: a contact outweighs the drawn points around it."""
@@ -50,7 +49,7 @@ class BentPart:
     @cached_property
     def surface(self) -> Mesh:
         """The bent part as a mesh."""
-        return as_mesh(self.vertices, self.source.triangles)
+        return self.source.surface.moved(self.vertices)
 
 
 def start_part(source: SourcePart, points: Float[np.ndarray, "K 3"]) -> BentPart | None:

@@ -14,7 +14,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from shapeforge.collection.shape import Mesh, Shape
-from shapeforge.collection.surface import closest_points
+from shapeforge.collection.surface import SearchedMesh, closest_points
 from shapeforge.synthesis.cleaning import neighbours
 from shapeforge.synthesis.depths import depths, directions_into
 from shapeforge.synthesis.embedded import DeformationGraph, build_graph
@@ -99,6 +99,11 @@ class SourcePart:
         return vertex_components(len(self.vertices), self.triangles)
 
     @cached_property
+    def surface(self) -> SearchedMesh:
+        """The part as a mesh."""
+        return as_mesh(self.vertices, self.triangles)
+
+    @cached_property
     def distinct(self) -> Bool[np.ndarray, " N"]:
         """True for the first of equal triangles."""
         return distinct_triangles(self.triangles)
@@ -123,6 +128,7 @@ class SourcePart:
         for name, value in vars(type(self)).items():
             if isinstance(value, cached_property):
                 getattr(self, name)
+        _ = self.surface.boxes
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,9 +30,10 @@ def heated(sculptor: Sculptor, layer: Layer, points: Float[np.ndarray, "K 3"], i
 
 
 def display(
-    layers: tuple[Layer, ...], made: Made | None, label: str, busy: bool, marks: tuple[Mark, ...] = ()
-) -> Display:
-    """The shape with what is known about it in the corners."""
+    layers: tuple[Layer, ...], made: Made | None, label: str, busy: bool, marks: tuple[Mark, ...] = (),
+    moves: bool = False,
+) -> Display:  # fmt: skip
+    """The shape with what is known about it in the corners; it ``moves`` while something is dragged."""
     captions = [Caption("top left", ((label, "strong"), *_size_words(made)))]
     if made is not None:
         nearest = f"nearest real shape: {made.nearest}, {100 * made.nearest_distance:.1f}% of size"
@@ -42,7 +43,7 @@ def display(
         captions.append(Caption("bottom left", (("making the mesh…", "faint"),)))
     else:
         captions.append(Caption("bottom left", (("Drag a handle on the shape, the rest follows", "faint"),)))
-    return Display((View(layers, marks, tuple(captions)),))
+    return Display((View(layers, marks, tuple(captions), moves=moves),))
 
 
 def origin_words(sources: tuple[str, ...]) -> str:

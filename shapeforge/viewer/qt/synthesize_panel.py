@@ -339,7 +339,8 @@ class SynthesizePlace:
         busy = self.worker is not None and self.worker.busy
         self.handles.follow(self.points)
         made = self._live if self.made is None else self.made
-        self.view.display(display(self._drawn, made, self._label(), busy, self.handles.marks()), fit=fit)
+        marks = self.handles.marks()
+        self.view.display(display(self._drawn, made, self._label(), busy, marks, self.is_dragging), fit=fit)
 
     def _show_colours(self) -> None:
         self._show()

@@ -7,6 +7,7 @@ turning drag moves it.  The wheel zooms at the pointer; where ``left_paints`` is
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -57,6 +58,7 @@ class View3D(QWidget):
         self.hold: Callable[[float, float], bool] | None = None
         self.frames = 0
         self._closed = False
+        self._painted = -math.inf
         self._software: bool | None = None
         self._drag: str | None = None
         self._last = self._press = QPointF()
@@ -197,9 +199,10 @@ class View3D(QWidget):
     # ---- drawing -------------------------------------------------------------------------------------------------
 
     def repaint_soon(self) -> None:
-        """Draw within 33 ms; asked twice, drawn once, with the newest state."""
+        """Draw now, or 33 ms after the last time if that is later; asked twice, drawn once, with the newest state."""
         if not self._timer.isActive() and not self._closed:
-            self._timer.start()
+            since = 1e3 * (time.monotonic() - self._painted)
+            self._timer.start(int(max(FRAME_MS - since, 0)))
 
     @property
     def at_rest(self) -> bool:
@@ -209,6 +212,7 @@ class View3D(QWidget):
     def _paint(self) -> None:
         if self._closed:
             return
+        self._painted = time.monotonic()
         self.scene.smooth(self._software is False)
         self.plotter.update()
         self._settle.start()
