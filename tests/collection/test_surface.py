@@ -63,4 +63,4 @@ def test_a_searched_mesh_that_was_moved_answers_as_a_new_one():
         rest = rest.moved(rng.permutation(vertices) * [3.0, 0.2, -1.0])
         anew = Mesh(rest.vertices, triangles, np.arange(200), 200)
         for found, expected in zip(closest_points(rest, queries)[::2], closest_points(anew, queries)[::2], strict=True):
-            np.testing.assert_array_equal(found, expected)
+            np.testing.assert_allclose(found, expected, atol=1e-12)
