@@ -295,7 +295,7 @@ def test_between_two_shapes_is_one_item_per_drag(place, qtbot):
 
 def test_a_handle_pulled_in_the_view_moves_sliders(place, qtbot):
     handle = int(place.handles.shown[0])
-    x, y = (round(v) for v in place.view.place_of(place.points[handle]))
+    x, y = (round(v) for v in place.view.place_of(place.handles.places[0]))
     target = place.view.plotter
     camera = np.array(place.view.scene.camera.GetPosition())
     qtbot.mousePress(target, LEFT, NONE, QPoint(x, y))

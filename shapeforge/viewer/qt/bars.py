@@ -148,7 +148,7 @@ class RangeSlider(QWidget):
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setPen(Qt.PenStyle.NoPen)
         groove = self.height() - 10.0
-        active = self.is_dragged or self.underMouse() or self.hasFocus()
+        active = self.is_dragged or self.underMouse()
         tallest = max(float(self._histogram.max(initial=0)), 1.0)
         painter.setBrush(QColor(tokens["accent" if active and not self.locked else "separator_strong"]))
         painter.setOpacity(0.75)

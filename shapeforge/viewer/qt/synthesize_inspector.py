@@ -27,9 +27,16 @@ from shapeforge.viewer.qt.widgets import (
     scrolled,
     section,
     separator,
+    shortened,
 )
 from shapeforge.viewer.sculptor import Sculptor
 from shapeforge.viewer.session import Session
+
+KINDS = {
+    "bundle": ("Bundles", "A unit of the second layer with the units below that go with it"),
+    "unit": ("Single units", "Units of the first layer, each by itself; a locked one is held in random draws"),
+}
+"""Headings of the finer sliders."""
 
 
 class SynthesizeInspector(QFrame):
@@ -184,7 +191,11 @@ class SynthesizeInspector(QFrame):
             one.entered.connect(lambda index=index: self.hovered.emit(index))
             one.left.connect(lambda: self.hovered.emit(None))
             one.locked.connect(lambda on, index=index: self._lock(index, on))
-            (self.direction_rows if index < sculptor.coarse else self.finer_rows.layout()).addWidget(one)
+            box = self.direction_rows if index < sculptor.coarse else self.finer_rows.layout()
+            if index >= sculptor.coarse and direction.kind != sculptor.directions[index - 1].kind:
+                words, explained = KINDS[direction.kind]
+                box.addLayout(row(label(words, "strong", tooltip=explained), None, margins=(16, 8, 16, 2)))
+            box.addWidget(one)
             self.rows.append(one)
         finer = len(self.rows) - sculptor.coarse
         self.finer.setVisible(finer > 0)
@@ -225,12 +236,12 @@ class SynthesizeInspector(QFrame):
         sculptor = self.sculptor
         self._part = part if part in self.switches else next(iter(self.switches), 0)
         self.part_to_take.set_options(
-            tuple((str(l), sculptor.part_names[l]) for l in self.switches), str(self._part)
+            tuple((str(l), shortened(sculptor.part_names[l], 10)) for l in self.switches), str(self._part)
         )  # fmt: skip
         having = sculptor.observations.exists[:, self._part]
         names = tuple(n for n, has in zip(sculptor.shape_names, having, strict=True) if has)
         self.take_from.set_options(
-            (("", "the nearest"), *((n, n) for n in names)), sculptor.recipe.taken.get(self._part, "")
+            (("", "the nearest"), *((n, shortened(n, 12)) for n in names)), sculptor.recipe.taken.get(self._part, "")
         )
 
     def _toggle_finer(self) -> None:

@@ -337,8 +337,9 @@ class SynthesizePlace:
 
     def _show_words(self, *, fit: bool = False) -> None:
         busy = self.worker is not None and self.worker.busy
-        self.handles.follow(self.points)
         made = self._live if self.made is None else self.made
+        as_points = made is None or self.shown_as.button("points").isChecked()
+        self.handles.follow(self.points, None if as_points else made.shape.vertices)
         marks = self.handles.marks()
         self.view.display(display(self._drawn, made, self._label(), busy, marks, self.is_dragging), fit=fit)
 

@@ -31,8 +31,8 @@ class DirectionRow(QFrame):
         self.slider = RangeSlider(low, high, histogram, edges)
         self.slider.setAccessibleName(name)
         self.slider.setToolTip(
-            f"{name}\nBars: the shapes of the family. Notch: the shape by itself.\n"
-            "Double-click or Home resets, L locks, arrow keys move. Pointing at it shows what moves."
+            f"{name}\nBars: the shapes of the family.\nNotch: the shape by itself.\n"
+            "Double-click resets, L locks,\narrow keys move it."
         )
         self.caption = ElidedLabel(caption, "caption")
         self.name, self.value = ElidedLabel(name, "strong"), label("0.0", "text2")

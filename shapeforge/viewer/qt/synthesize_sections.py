@@ -8,8 +8,8 @@ from PySide6.QtWidgets import QWidget
 from shapeforge.viewer.qt.widgets import Segments, Switch, column, label, row, section
 from shapeforge.viewer.session import Session
 
-TEMPERATURES = (("0.6", "Typical", ""), ("1.0", "Usual", ""), ("1.5", "Unusual", ""))
-ROUTES = (("parts", "Family's parts", ""), ("surface", "New surface", ""))
+TEMPERATURES = (("0.6", "Less", ""), ("1.0", "Usual", ""), ("1.5", "More", ""))
+ROUTES = (("parts", "Parts", ""), ("surface", "New surface", ""))
 COLOURS = (("parts", "Parts", ""), ("sources", "Materials", ""))
 
 
@@ -32,7 +32,7 @@ class DrawSection(QWidget):
         self.near.clicked.connect(lambda on: setattr(session, "near", bool(on)))
         self.kept = label("", "caption", wrap=True)
         inside = section(
-            label("Random draws", "heading"), row(label("How"), None, self.temperature),
+            label("Random draws", "heading"), row(label("Variety"), None, self.temperature),
             row(label("Near the shape in hand"), None, self.near), self.kept,
         )  # fmt: skip
         self.setLayout(column(inside, spacing=0))
