@@ -71,7 +71,7 @@ class Scales:
         if unit is None:
             return None
         logit_there = value + self._medians[index] + self._mean(layer, exists)[unit]
-        return (layer, unit), float(sigmoid(np.array(logit_there)))
+        return (layer, unit), float(sigmoid(np.array([logit_there]))[0])
 
 
 def _logits(layer: np.ndarray) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import threading
 
 import numpy as np
@@ -13,7 +12,6 @@ from PySide6.QtCore import QPoint, Qt
 
 from shapeforge.generative.units import drive
 from shapeforge.stages_recipes import read_recipe, remake
-from shapeforge.store import Project
 from shapeforge.viewer import movies
 from shapeforge.viewer.display import MeshLayer, PointLayer
 from shapeforge.viewer.mesh_worker import MeshWorker, Wish
@@ -24,68 +22,7 @@ from shapeforge.viewer.sculptor_files import export_mesh
 from shapeforge.viewer.sculpture import measure_words
 from shapeforge.viewer.session import Session
 from shapeforge.viewer.slider_names import changes, choose_names, what_moves
-from tests.viewer.conftest import paint_exemplars, run_stage
-
-LEFT, NONE = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
-LONG = 120_000
-
-
-@pytest.fixture(scope="session")
-def _learnt(tmp_path_factory, meshes, _grouped):
-    """Fitted from six painted exemplars, which have all parts between them, and learnt briefly."""
-    folder = tmp_path_factory.mktemp("learnt") / "chairs"
-    shutil.copytree(_grouped, folder)
-    project = Project.open(folder)
-    run_stage(project, "group", exemplars=list(project.names[:6]))
-    paint_exemplars(project, meshes)
-    run_stage(project, "fit", rounds=1, inner=1)
-    run_stage(project, "learn", epochs=2)
-    return folder
-
-
-@pytest.fixture
-def learnt(_learnt, tmp_path):
-    shutil.copytree(_learnt, tmp_path / "chairs")
-    return Project.open(tmp_path / "chairs")
-
-
-@pytest.fixture
-def sculptor(learnt):
-    session = Session()
-    session.open(learnt)
-    made = Sculptor(session)
-    assert made.reload()
-    return made
-
-
-@pytest.fixture(scope="session")
-def sources(_learnt):
-    """The parts of the family, read once for all tests."""
-    from shapeforge.stages_synthesis import sources_of
-
-    return sources_of(Project.open(_learnt))
-
-
-@pytest.fixture
-def place(open_window, learnt, sources, qtbot, monkeypatch):
-    monkeypatch.setattr("shapeforge.stages_synthesis.sources_of", lambda project: sources)
-    window = open_window(learnt, "synthesize")
-    made = window.places["synthesize"]
-    qtbot.waitUntil(lambda: made.view.frames > 0, timeout=20000)
-    return made
-
-
-def layer_kinds(place) -> list[type]:
-    return [type(layer) for layer in place.view.shown.views[0].layers]
-
-
-def wait_for_mesh(place, qtbot) -> None:
-    def there() -> bool:
-        assert place.session.status_kind != "error", place.session.status
-        return place.made is not None and not place.made.preview
-
-    qtbot.waitUntil(there, timeout=LONG)
-
+from tests.viewer.synthesize_hands import LEFT, LONG, NONE, layer_kinds, wait_for_mesh
 
 # ---- the model behind the place ---------------------------------------------------------------------------------
 
@@ -294,7 +231,6 @@ def test_between_two_shapes_is_one_item_per_drag(place, qtbot):
 
 
 def test_a_handle_pulled_in_the_view_moves_sliders(place, qtbot):
-    handle = int(place.handles.shown[0])
     x, y = (round(v) for v in place.view.place_of(place.handles.places[0]))
     target = place.view.plotter
     camera = np.array(place.view.scene.camera.GetPosition())
