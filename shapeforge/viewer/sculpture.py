@@ -31,10 +31,11 @@ def heated(sculptor: Sculptor, layer: Layer, points: Float[np.ndarray, "K 3"], i
 
 def display(
     layers: tuple[Layer, ...], made: Made | None, label: str, busy: bool, marks: tuple[Mark, ...] = (),
-    moves: bool = False,
+    moves: bool = False, *, failed: bool = False,
 ) -> Display:  # fmt: skip
     """The shape with what is known about it in the corners; it ``moves`` while something is dragged."""
-    captions = [Caption("top left", ((label, "strong"), *_size_words(made)))]
+    lines = (("points only: the mesh could not be made", "error"),) if failed else _size_words(made)
+    captions = [Caption("top left", ((label, "strong"), *lines))]
     if made is not None:
         nearest = f"nearest real shape: {made.nearest}, {100 * made.nearest_distance:.1f}% of size"
         captions.append(Caption("top right", ((origin_words(made.shape.sources), "plain"), (nearest, "plain"))))

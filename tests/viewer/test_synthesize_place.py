@@ -296,6 +296,9 @@ def test_a_mesh_that_cannot_be_made_is_said(place, qtbot, monkeypatch):
     place.session.sliders = {0: 0.5}
     qtbot.waitUntil(lambda: "no such part" in wait_or_any.status, timeout=LONG)
     assert wait_or_any.status_kind == "error"
+    assert place.view.shown.views[0].captions[0].lines[1][1] == "error"
+    assert place.actions.verdict("export_mesh") == (False, "The mesh could not be made: no such part")
+    assert "no such part" in place.inspector.export.toolTip()
 
 
 def test_a_shape_that_outgrows_the_view_is_seen_whole_again(place, qtbot):

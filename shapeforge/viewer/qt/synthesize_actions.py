@@ -58,7 +58,7 @@ def can_export(place: Any) -> Verdict:
     """The final mesh is there."""
     if not place.sculptor.has_machine:
         return ready(place)
-    return YES if place.made is not None and not place.made.preview else (False, "The mesh is being made.")
+    return YES if place.made is not None else (False, place.problem or "The mesh is being made.")
 
 
 def can_reset_parts(place: Any) -> Verdict:

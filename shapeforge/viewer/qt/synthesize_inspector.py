@@ -13,6 +13,7 @@ from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.palette import as_hex
 from shapeforge.viewer.qt.bind import Binding, action_button
 from shapeforge.viewer.qt.icons import refresh, set_icon
+from shapeforge.viewer.qt.stale_note import stale_note
 from shapeforge.viewer.qt.synthesize_parts import DirectionRow, FamilyMap
 from shapeforge.viewer.qt.synthesize_sections import DrawSection, MeshSection
 from shapeforge.viewer.qt.widgets import (
@@ -81,12 +82,14 @@ class SynthesizeInspector(QFrame):
         )
         self.part_rows = column(spacing=8)
         self.part_note = label("", "caption_off", wrap=True)
-        self.part_to_take = Choice("take the", (), "", tooltip="A part to take from a shape of your choice")
+        self.part_to_take = Choice("", (), "", tooltip="A part to take from a shape of your choice")
         self.part_to_take.chosen.connect(lambda part: self._show_taken(int(part)))
-        self.take_from = Choice("from", (), "", tooltip="The shape whose part is bent to this place")
+        self.take_from = Choice("", (), "", tooltip="The shape whose part is bent to this place")
         self.take_from.chosen.connect(lambda name: self.taken.emit(self._part, name))
         self._part = 0
-        mixing = row(self.part_to_take, self.take_from, None, spacing=4)
+        mixing = column(
+            row(label("Take the part"), None, self.part_to_take), row(label("from"), None, self.take_from), spacing=4
+        )
         reset_parts = action_button(actions, "reset_parts", binding, kind="link", icon=False)
         parts = section(row(label("Parts", "heading"), None, reset_parts), self.part_rows, self.part_note, mixing)
         self.draws = DrawSection(session)
@@ -107,9 +110,15 @@ class SynthesizeInspector(QFrame):
                 margins=(16, 12, 16, 14),
             )
         )
-        inside = column(scrolled(family, directions, parts, self.draws, self.mesh), foot, spacing=0)
+        stale = stale_note(actions, binding, "learn", "learn", "Learn again")
+        self._sections = scrolled(stale, family, directions, parts, self.draws, self.mesh)
+        self._empty = QWidget()
+        self._foot = foot
+        inside = column(self._sections, self._empty, foot, spacing=0)
         inside.setStretch(0, 1)
+        inside.setStretch(1, 1)
         self.setLayout(inside)
+        self._blocks = (directions, parts)
 
     def fill(self) -> None:
         """Rows for the sliders and parts of the family there is now."""
@@ -117,6 +126,16 @@ class SynthesizeInspector(QFrame):
         self._show_family()
         self._fill_directions()
         self._fill_parts()
+        # What is painted before the next event would lie upon each other.
+        for block in (*self._blocks, self._sections.widget()):
+            block.layout().activate()
+        self._sections.widget().adjustSize()
+
+    def show_nothing(self, on: bool) -> None:
+        """Nothing has been learnt: there is nothing to steer."""
+        self._sections.setVisible(not on)
+        self._empty.setVisible(on)
+        self._foot.setVisible(not on)
 
     def show_colours(self) -> None:
         """The parts' colours as they are now (they may have been changed in Paint)."""
@@ -196,6 +215,7 @@ class SynthesizeInspector(QFrame):
                 words, explained = KINDS[direction.kind]
                 box.addLayout(row(label(words, "strong", tooltip=explained), None, margins=(16, 8, 16, 2)))
             box.addWidget(one)
+            one.show()  # now, not with the next event: what is hidden has no place in the layout
             self.rows.append(one)
         finer = len(self.rows) - sculptor.coarse
         self.finer.setVisible(finer > 0)
@@ -227,6 +247,8 @@ class SynthesizeInspector(QFrame):
             line.setStretch(0, 1)
             line.setStretch(1, 1)
             self.part_rows.addLayout(line)
+            for holder in pair:
+                holder.show()
         fixed = [sculptor.part_names[part] for part in shown if always[part]]
         words = " and ".join(([", ".join(fixed[:-1])] if fixed[:-1] else []) + fixed[-1:])
         self.part_note.setText(f"{words.capitalize()}: on every shape of the family." if fixed else "")
@@ -236,12 +258,12 @@ class SynthesizeInspector(QFrame):
         sculptor = self.sculptor
         self._part = part if part in self.switches else next(iter(self.switches), 0)
         self.part_to_take.set_options(
-            tuple((str(l), shortened(sculptor.part_names[l], 10)) for l in self.switches), str(self._part)
+            tuple((str(l), shortened(sculptor.part_names[l], 18)) for l in self.switches), str(self._part)
         )  # fmt: skip
         having = sculptor.observations.exists[:, self._part]
         names = tuple(n for n, has in zip(sculptor.shape_names, having, strict=True) if has)
         self.take_from.set_options(
-            (("", "the nearest"), *((n, shortened(n, 12)) for n in names)), sculptor.recipe.taken.get(self._part, "")
+            (("", "the nearest"), *((n, shortened(n, 24)) for n in names)), sculptor.recipe.taken.get(self._part, "")
         )
 
     def _toggle_finer(self) -> None:

@@ -22,6 +22,7 @@ from shapeforge.viewer.qt.paint_parts import HistoryStrip
 from shapeforge.viewer.qt.synthesize_actions import add_actions
 from shapeforge.viewer.qt.synthesize_between import Between
 from shapeforge.viewer.qt.synthesize_inspector import SynthesizeInspector
+from shapeforge.viewer.qt.synthesize_sections import not_learnt
 from shapeforge.viewer.qt.synthesize_shows import Shows
 from shapeforge.viewer.qt.thumbnails import Thumbnails
 from shapeforge.viewer.qt.widgets import (
@@ -57,6 +58,7 @@ class SynthesizePlace:
         self._entered = False
         self.points = np.zeros((0, 3))
         self._recipe: Recipe | None = None
+        self.problem = ""
         self._old_history = session.history
         self._mail = _Mail()
         self._mail.arrived.connect(self._read_mail)
@@ -79,9 +81,10 @@ class SynthesizePlace:
         )  # fmt: skip
         self.between, self.shows = Between(self), Shows(self)
         add_actions(self)
-        whole = column(self.view, self.shows.gallery, self.between.bar, spacing=0)
-        whole.setStretch(0, 1)
-        whole.setStretch(1, 1)
+        self.nothing = not_learnt(self.actions, self.binding)
+        whole = column(self.view, self.shows.gallery, self.nothing, self.between.bar, spacing=0)
+        for place in range(3):
+            whole.setStretch(place, 1)
         self.centre = framed(whole, "centre")
         self.centre.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.between_button = action_button(self.actions, "between", self.binding)
@@ -148,7 +151,13 @@ class SynthesizePlace:
     def _reload(self) -> None:
         if not self._entered or self.session.project is None:
             return
-        if self.sculptor.reload() and self.sculptor.has_machine:
+        other, learnt = self.sculptor.reload(), self.sculptor.has_machine
+        self.nothing.setVisible(not learnt)
+        self.inspector.show_nothing(not learnt)
+        if other or not learnt:
+            self.shows.gallery.setVisible(False)
+            self.view.setVisible(learnt)
+        if other and learnt:
             self._made_of, self.made, self._live = {}, None, None
             self.between.end()
             self.inspector.fill()
@@ -164,7 +173,7 @@ class SynthesizePlace:
         if not self._entered or not self.sculptor.has_machine:
             return
         self.between.end_if_left()
-        self._wish += 1
+        self._wish, self.problem = self._wish + 1, ""
         self._recipe = self.sculptor.recipe
         self.points = self.sculptor.points()
         if not self.is_dragging:
@@ -205,7 +214,9 @@ class SynthesizePlace:
         result = None if self.worker is None else self.worker.take()
         self.shows.show_pictures()
         if isinstance(result, Exception):
-            self.session.say(f"The mesh could not be made: {result}", "error")
+            self.problem = f"The mesh could not be made: {result}"
+            self.session.say(self.problem, "error")
+            self.session.edit_count += 1  # why it cannot be exported
             self._show_words()
         elif result is not None and result.preview:
             if self.is_dragging:  # it may be a step or two behind the points: the next one is under way
@@ -341,7 +352,8 @@ class SynthesizePlace:
         as_points = made is None or self.shown_as.button("points").isChecked()
         self.handles.follow(self.points, None if as_points else made.shape.vertices)
         marks = self.handles.marks()
-        self.view.display(display(self._drawn, made, self._label(), busy, marks, self.is_dragging), fit=fit)
+        shown = display(self._drawn, made, self._label(), busy, marks, self.is_dragging, failed=bool(self.problem))
+        self.view.display(shown, fit=fit)
 
     def _show_colours(self) -> None:
         self._show()

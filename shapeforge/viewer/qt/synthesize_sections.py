@@ -2,15 +2,37 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import Signal
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QWidget
 
-from shapeforge.viewer.qt.widgets import Segments, Switch, column, label, row, section
+from shapeforge.viewer.actions import Actions
+from shapeforge.viewer.qt.bind import ENABLING, Binding, action_button
+from shapeforge.viewer.qt.widgets import Segments, Switch, column, framed, label, row, section
 from shapeforge.viewer.session import Session
 
 TEMPERATURES = (("0.6", "Less", ""), ("1.0", "Usual", ""), ("1.5", "More", ""))
 ROUTES = (("parts", "Parts", ""), ("surface", "New surface", ""))
 COLOURS = (("parts", "Parts", ""), ("sources", "Materials", ""))
+
+
+def not_learnt(actions: Actions, binding: Binding) -> QWidget:
+    """What is in the middle of the place before there is a machine: what is missing, and the button that makes it."""
+    session = actions.session
+    title, words = label("Nothing has been learnt yet", "title"), label("", "text2")
+    go = action_button(actions, "learn", binding, kind="primary")
+    for one in (title, words):
+        one.setAlignment(Qt.AlignmentFlag.AlignCenter)
+
+    def show() -> None:
+        learns = session.running and session.stage == "learn"
+        can, why = actions.verdict("learn")
+        words.setText(
+            "The family is being learnt: see the bar below." if learns
+            else "New shapes come from what the fitted shapes have in common." if can else why
+        )  # fmt: skip
+
+    binding.on(ENABLING, show)
+    return framed(column(None, title, words, row(None, go, None, margins=(0, 12, 0, 0)), None, spacing=6), "centre")
 
 
 class DrawSection(QWidget):
