@@ -27,6 +27,9 @@ SAME = 0.7
 MOST_PATTERNS = 8
 """Combinations of parts on which a slider's effect is measured."""
 
+PROMISING = 4
+"""So many times the single units wanted are measured."""
+
 BIG_MOVE = 0.4
 """A part is named in a caption when its points move at least this share of what the part that moves most does."""
 
@@ -146,7 +149,7 @@ def single_units(machine: BetaShapeMachine, observations: Observations, count: i
         slope = (up * beta[:, None] - down * alpha[:, None]) / both
         promise[slot] = has.mean() * swing * np.abs(slope).sum(axis=0)
     found = []
-    for unit in np.argsort(-promise, kind="stable")[: 2 * count]:
+    for unit in np.argsort(-promise, kind="stable")[: PROMISING * count]:
         part = next(l for l, slot in enumerate(machine.units_of_part) if slot.start <= unit < slot.stop)
         values = within[observations.exists[:, part], unit]
         if promise[unit] > 0 and np.ptp(values) > 0:

@@ -180,6 +180,11 @@ class Sources:
                 self._cache.popitem(last=False)
         return parts
 
+    def is_read(self, index: int) -> bool:
+        """Whether the parts of training shape ``index`` are in memory."""
+        with self._lock:
+            return index in self._cache
+
     def part_of(self, index: int, part: int) -> SourcePart | None:
         """One part of training shape ``index``; None if its mesh has no usable face of it."""
         return self.parts_of(index).get(part)

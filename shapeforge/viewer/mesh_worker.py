@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,8 +14,11 @@ from threadpoolctl import threadpool_limits
 
 from shapeforge.synthesis.assemble import SynthesizedShape
 from shapeforge.synthesis.assemble import synthesize as synthesize_mesh
+from shapeforge.viewer.resemblance import resemblance
 from shapeforge.viewer.session import Session
 
+AHEAD, REST = 16, 1.0
+"""So many shapes, the nearest to the newest wish, are read before they are wanted, after so many seconds of rest."""
 COARSE = 0.014
 """Step (diagonals) of the lattice of previews from scratch: an eighth of the work or less."""
 
@@ -64,6 +68,7 @@ class MeshWorker:
         self._retrieved: tuple[Any, np.ndarray | None] = (None, None)
         self._current: tuple[int, bool] | None = None
         self._besides: list[Wish] = []
+        self._ahead: list[int] = []
         self._made_besides: dict[int, Made] = {}
         self._asked_besides = 0
         self.busy = False
@@ -111,14 +116,19 @@ class MeshWorker:
             with self._wake:
                 while self._wish is None and not self._besides and not self._closed:
                     self.busy = False
-                    self._wake.wait()
+                    if not self._wake.wait(REST if self._ahead else None):
+                        break
                 if self._closed:
                     return
                 wish, self._wish = self._wish, None
                 self._current = None if wish is None else (wish.number, wish.preview)
-                beside, asked = (self._besides.pop(0) if wish is None else None), self._asked_besides
+                now = wish is None and bool(self._besides)
+                beside, asked = (self._besides.pop(0) if now else None), self._asked_besides
             if beside is not None:
                 self._make_beside(asked, beside)
+                continue
+            if wish is None:
+                self._read_ahead()
                 continue
             try:
                 result: Made | Exception = self._make(wish)
@@ -130,6 +140,14 @@ class MeshWorker:
                 closed = self._closed
             if not closed:
                 self._arrived()
+
+    def _read_ahead(self) -> None:
+        """Read and prepare the parts of one more shape that may be wanted next; one that cannot be read is left out."""
+        index = self._ahead.pop(0)
+        with contextlib.suppress(Exception):  # who wants it will hear of it
+            sources = self._sources_now()
+            for part in sources.parts_of(index).values():
+                part.prepare()
 
     def _make_beside(self, asked: int, wish: Wish) -> None:
         """One of those besides.  One that fails stays a cloud of points: nobody waits for it."""
@@ -186,5 +204,9 @@ class MeshWorker:
                 shape = synthesize_mesh(wish.points, wish.exists, self._sources_now(), preview=True, shapes=shapes)
             else:
                 shape = self._maker("parts", wish.union)(wish.points, wish.exists, shapes=shapes)
+        if wish.route == "parts" and not wish.preview:
+            sources = self._sources_now()
+            order = np.argsort(-resemblance(sources.positions, wish.points), kind="stable")[:AHEAD]
+            self._ahead = [int(t) for t in order if not sources.is_read(int(t))]
         nearest, distance = self._nearest(wish.points)
         return Made(wish.number, shape, wish.preview, nearest, distance)

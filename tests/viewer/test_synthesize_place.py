@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -119,6 +120,24 @@ def test_the_worker_makes_the_newest_wish_only(sculptor, monkeypatch):
     assert arrived.acquire(timeout=10) and arrived.acquire(timeout=10)
     assert made == [1, 4] and isinstance(worker.take(), RuntimeError) and worker.take() is None
     worker.close()
+
+
+def test_parts_that_may_be_wanted_next_are_read_while_nothing_is(sculptor, monkeypatch):
+    """One shape at a time, the nearest first, and a wish goes before them."""
+    monkeypatch.setattr("shapeforge.viewer.mesh_worker.REST", 0.05)
+    worker = MeshWorker(sculptor.session, sculptor.nearest, lambda: None)
+    try:
+        points = sculptor.points(Recipe("one", sculptor.base_of(sculptor.shape_names[3])))
+        worker.ask(Wish(1, points, sculptor.exists(), False))
+        wait = time.monotonic() + 60
+        while worker._sources[1] is None or worker._wish is not None or worker._ahead or worker._current is not None:
+            assert time.monotonic() < wait
+            time.sleep(0.02)
+        time.sleep(0.3)
+        assert all(worker._sources[1].is_read(t) for t in range(len(sculptor.shape_names)))
+        assert worker.take() is not None and not worker.busy
+    finally:
+        worker.close()
 
 
 def test_sliders_are_named_after_what_they_do():
