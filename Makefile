@@ -9,6 +9,7 @@ SHELL := /bin/bash
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | head -4
+	@echo "  make setup   only what both do first: the virtual environment .venv and the system's libraries"
 	@echo "  make lint    ruff, the rules of pyproject.toml;  make format lays the code out"
 
 demo: .venv/.packages

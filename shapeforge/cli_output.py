@@ -10,6 +10,9 @@ from typing import Any
 
 import typer
 
+QUIET = ("stale", "partial", "start", "learn", "faces")
+"""Phases whose steps are no lines of their own where there is no terminal for the bar: rounds are, epochs are not."""
+
 
 def follow(project: Any, steps: Iterator[Any], what: str) -> Any:
     """Iterate with a progress bar on standard error; the last progress.  Problems are printed as they come."""
@@ -36,9 +39,9 @@ def follow(project: Any, steps: Iterator[Any], what: str) -> Any:
                     line, completed=latest.step + latest.within, total=max(latest.of, 1), stage=latest.stage,
                     phase=latest.phase, description=escaped(latest.message + left),
                 )  # fmt: skip
-                if latest.phase in ("stale", "partial", "start") or latest.within:
+                if latest.phase in QUIET or latest.within or latest.stage not in ("fit", "refine"):
                     continue
-                if not console.is_terminal and latest.stage in ("fit", "refine") and latest.phase != "faces":
+                if not console.is_terminal:
                     console.print(f"  {latest.message}", markup=False)
     except KeyboardInterrupt:
         project.log(f"{what}: stopped from the keyboard")

@@ -1,10 +1,18 @@
-"""Names on the command line: several after one option, in a file, two with a sign between."""
+"""Words of the command line: options of many verbs; names after one option, in a file, two with a sign between."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 import typer
+
+ProjectPath = Annotated[Path, typer.Argument(metavar="PROJECT", help="Folder of the project.", show_default=False)]
+Seed = Annotated[int | None, typer.Option(min=0, help="Seed of everything random (first run: 0).", show_default=False)]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Worker threads (default: one per processor).")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on the last line.")]
+Restart = Annotated[bool, typer.Option("--restart", help="Redo all, even what is done.")]
+Out = Annotated[Path, typer.Option(help="Folder to write to.", show_default=False)]
 
 
 def named_after_option(first: list[str] | None, more: list[str] | None, option: str) -> list[str] | None:
@@ -30,5 +38,8 @@ def names_in(given: list[str] | None) -> list[str] | None:
     found: list[str] = []
     for text in given:
         file = Path(text)
-        found += file.read_text(encoding="utf-8").split("\n") if file.is_file() else text.split(",")
+        try:
+            found += file.read_text(encoding="utf-8").split("\n") if file.is_file() else text.split(",")
+        except UnicodeDecodeError:
+            raise typer.BadParameter(f"{file}: wanted a text file with one name of a shape a line") from None
     return [name.strip() for name in found if name.strip()]

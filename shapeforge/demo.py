@@ -21,8 +21,8 @@ def run_demo(
     Labels are given for the exemplars only; everything else is measured against the truth.  Run again, it goes on.
     """
     from shapeforge import stages, stages_outputs, stages_validation
-    from shapeforge.cli import write_report
     from shapeforge.cli_output import follow, one_line
+    from shapeforge.cli_results import write_report
     from shapeforge.collection.families import write_family
     from shapeforge.store import Project
 

@@ -219,10 +219,10 @@ def _run_one(
 
 
 def _function(stage: str) -> Callable[[Task], Iterator[Progress]]:
-    from shapeforge import stages_collection, stages_model, stages_refine, stages_synthesis
+    from shapeforge import stages_collection, stages_import, stages_model, stages_refine, stages_synthesis
 
     return {
-        "import": stages_collection.import_meshes,
+        "import": stages_import.import_meshes,
         "group": stages_collection.group,
         "label": stages_collection.label,
         "cosegment": stages_collection.cosegment,

@@ -1,12 +1,9 @@
-"""The stages of the collection: import, group, label, cosegment."""
+"""The stages of the collection once it is read: group, label, cosegment."""
 
 from __future__ import annotations
 
-import hashlib
-import re
-import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,212 +11,10 @@ import numpy as np
 
 from shapeforge.collection.labels import LABELS_FILE, PartNames
 from shapeforge.stages import Progress, StageError, Task
-from shapeforge.stages_pose import BY_HAND, settle_poses, turned_key
-from shapeforge.stages_status import REVISION, options_of
+from shapeforge.stages_status import REVISION, counted, options_of
 from shapeforge.store import Problem, Project, key_of
-from shapeforge.store_arrays import copy_file, read_record, write_record
+from shapeforge.store_arrays import read_record, write_record
 from shapeforge.store_results import write_names
-
-TEMPORARY = re.compile(r"\.tmp-[0-9]+-[0-9a-f]{6}$")
-SECONDS_BETWEEN_SAVES = 2.0
-"""The list of shapes is written at most so often during an import: a kill costs no more work than this."""
-
-
-@dataclass(frozen=True)
-class Reading:
-    """A file to import: the shape's name, where to read it, where it came from, what its result will be filed under.
-
-    ``by_hand`` is how the user turned the shape (see ``stages_pose.turn_by_hand``), None where nobody did.
-    """
-
-    name: str
-    file: Path
-    source: Path
-    sha256: str
-    key: str
-    by_hand: Mapping[str, Any] | None = None
-
-
-# -- import ----------------------------------------------------------------------------------------------------------
-
-
-def import_meshes(task: Task) -> Iterator[Progress]:
-    """Read, check, orient, sample and describe meshes (``meshes``: files and folders, None: go on with the copies).
-
-    A file that cannot be read is reported and skipped.  Shapes that are there already, from the same bytes and by the
-    same options, are not read again; a changed file is.
-    """
-    from shapeforge.collection.meshes import MeshError, find_meshes
-
-    project, given = task.project, task.arguments["meshes"]
-    try:
-        found = find_meshes([given] if isinstance(given, str | Path) else list(given)) if given else []
-    except MeshError as error:
-        raise StageError(str(error)) from error
-    if not found and not project.names:
-        raise StageError(f"meshes: wanted files or folders to import into {project.path}, got none")
-    _sweep(project)
-    named = _named(project, found)
-    readings, kept, failed = _plan(task, named)
-    total = len(readings) + len(kept)
-    problems: list[Problem] = list(failed)
-    for problem in failed:
-        yield task.progress("read", 0, total, str(problem), problem=problem)
-    if kept and readings:
-        yield task.progress("read", len(kept), total, f"{len(kept)} shapes are there already")
-    records: dict[str, dict[str, Any]] = {}
-    records_read, saved = set(), time.monotonic()
-    results = task.workers.map(lambda reading: _import_one(project, reading, task.options), readings)
-    for step, (reading, (record, found_problems, error)) in enumerate(zip(readings, results, strict=True), len(kept)):
-        problems += found_problems
-        if error is not None:
-            project.log(f"import: {reading.source}", error)
-        if record is not None:
-            records[reading.name] = record
-            records_read.add(reading.name)
-        if time.monotonic() - saved > SECONDS_BETWEEN_SAVES:
-            project.add_shapes(records)
-            records, saved = {}, time.monotonic()
-        message = f"{reading.name}: {record['n_faces']} faces" if record else str(found_problems[0])
-        problem = found_problems[0] if found_problems else None
-        yield task.progress("read", step + 1, total, message, problem=problem)
-    project.add_shapes(records)
-    about = [str(reading.source) for reading in readings] + [problem.file for problem in failed]
-    project.set_problems(problems, about)
-    yield from settle_poses(task)
-    errors = sum(problem.kind == "error" for problem in problems)
-    text = f"{len(project.names)} shapes" + (f", {errors} files not read" if errors else "")
-    task.summary |= {
-        "text": text,
-        "shapes": len(project.names),
-        "read": len(records_read),
-        "kept": len(kept),
-        "not_read": errors,
-    }
-    if not project.names:
-        raise StageError(f"none of the {errors} files could be read: {problems[0]}")
-    given_names = {name for name, _ in named}
-    if named and not given_names & {*kept, *records_read}:
-        raise StageError(f"nothing new was read: {problems[0]}")
-    yield task.progress("read", total, total, text)
-
-
-def _sweep(project: Project) -> None:
-    """Delete the half-written files that a killed import left."""
-    for folder in (project.path / "meshes", project.path / "shapes"):
-        for file in folder.iterdir() if folder.is_dir() else ():
-            if TEMPORARY.search(file.name):
-                file.unlink(missing_ok=True)
-
-
-def _named(project: Project, found: Sequence[tuple[str, Path]]) -> list[tuple[str, Path]]:
-    """Names for the files found: a file keeps the name it has; a second file of that name gets its folders before.
-
-    A name whose file is gone is free: a collection that was moved is still the same collection.
-    """
-    source_of = {name: project.shape_record(name)["source"] for name in project.names}
-    name_of = {source: name for name, source in source_of.items()}
-    taken = {name for name, source in source_of.items() if Path(source).exists()}
-    named = []
-    for name, path in found:
-        source = path.resolve()
-        if str(source) in name_of:
-            name = name_of[str(source)]
-        elif name in taken:
-            folders = source.parent.parts[1:]
-            longer = ["__".join([*folders[-depth:], source.stem]) for depth in range(1, len(folders) + 1)]
-            others = taken | {other for other, _ in found}
-            name = next((word for word in longer if word not in others), "__".join([*folders, source.name]))
-        taken.add(name)
-        named.append((name, path))
-    return named
-
-
-def _plan(task: Task, found: Sequence[tuple[str, Path]]) -> tuple[list[Reading], list[str], list[Problem]]:
-    """What to read (files given, and shapes whose options changed), what stays, and files that cannot be opened."""
-    project, readings, kept, failed = task.project, [], [], []
-    given = set()
-    for name, path in found:
-        source = path.resolve()
-        try:
-            sha256 = _digest(path)
-        except OSError as error:
-            reason = f"cannot be opened ({error.strerror or error})"
-            failed.append(Problem(str(source), "error", reason, "Check the path and its permissions"))
-            continue
-        given.add(name)
-        readings.append(_reading(task, name, path, source, sha256))
-    for name in project.names:
-        if name not in given:
-            record = project.shape_record(name)
-            source, copy = Path(record["source"]), project.mesh_path(name)
-            unchanged = source.is_file() and _digest(source) == record["sha256"]
-            readings.append(_reading(task, name, source if unchanged else copy, source, record["sha256"]))
-    wanted = []
-    for reading in readings:
-        known = reading.name in project.names and project.shape_record(reading.name)["key"] == reading.key
-        if known and not task.restart and project.shape_path(reading.name).is_file():
-            kept.append(reading.name)
-        else:
-            wanted.append(reading)
-    return wanted, kept, failed
-
-
-def _digest(path: Path) -> str:
-    if path.exists() and not path.is_file():  # reading a pipe or a device might never end
-        raise OSError("it is no ordinary file")
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def _reading(task: Task, name: str, file: Path, source: Path, sha256: str) -> Reading:
-    """What to read, turned as the user turned the same bytes under the same ``up``: what was said last counts."""
-    record = task.project.shape_record(name) if name in task.project.names else {}
-    by_hand = record.get("by_hand")
-    if by_hand is not None and (record["sha256"] != sha256 or by_hand["up"] != task.options["up"]):
-        by_hand = None
-    key = key_of(sha256, {name: task.options[name] for name in ("points", "up", "seed")})
-    return Reading(name, file, source, sha256, key if by_hand is None else turned_key(key, by_hand), by_hand)
-
-
-def _import_one(
-    project: Project, reading: Reading, options: Mapping[str, Any]
-) -> tuple[dict[str, Any] | None, list[Problem], BaseException | None]:
-    """Prepare and write one shape; its record, what is odd about it, and the error if it could not be read."""
-    from shapeforge.collection.meshes import MeshError, read_mesh, repair_notes
-    from shapeforge.collection.prepare import prepare_shape, turned
-    from shapeforge.store import ProjectError
-
-    source = str(reading.source)
-    try:
-        mesh = read_mesh(reading.file)
-        rng = np.random.default_rng([int(options["seed"]), int(reading.sha256[:15], 16)])
-        shape = prepare_shape(reading.name, mesh, n_points=int(options["points"]), up=options["up"], rng=rng)
-        if reading.by_hand is not None:
-            shape = turned(shape, np.array(reading.by_hand["rotation"]), BY_HAND)
-        doubts = list(repair_notes(mesh))
-    except MeshError as error:
-        return None, [Problem(source, "error", error.problem, error.remedy)], error
-    except (ValueError, ArithmeticError, MemoryError, IndexError) as error:
-        remedy = "Repair it in a mesh editor; the project's log has the details"
-        return None, [Problem(source, "error", f"cannot be prepared ({error})", remedy)], error
-    if any(character in reading.name for character in "/\\\0"):
-        raise ProjectError(source, "has a name that cannot be a file's", "Rename it")
-    copy = Path("meshes") / f"{reading.name}{reading.file.suffix.lower()}"
-    if reading.file != project.path / copy:
-        copy_file(reading.file, project.path / copy)
-    project.save_shape(shape, reading.key)
-    stamp = reading.source.stat() if reading.source.exists() else None
-    record = {
-        "file": str(copy), "source": source, "sha256": reading.sha256, "key": reading.key,
-        "modified": stamp.st_mtime_ns if stamp else 0, "size": stamp.st_size if stamp else 0,
-        "n_faces": int(mesh.n_faces), "n_triangles": len(mesh.triangles), "notes": list(shape.notes),
-        "pose": "open" if options["up"] == "auto" and reading.by_hand is None else "settled",
-    }  # fmt: skip
-    if reading.by_hand is not None:
-        record["by_hand"] = dict(reading.by_hand)
-    warnings = [Problem(source, "warning", doubt) for doubt in doubts]
-    return record, warnings, None
-
 
 # -- group -----------------------------------------------------------------------------------------------------------
 
@@ -320,7 +115,7 @@ def label(task: Task) -> Iterator[Progress]:
                 message = str(error)
         yield task.progress("read", step + 1, len(wanted), message, problem=problem)
     project.set_problems(problems, [str((folder / f"{name}.seg").resolve()) for name in wanted])
-    text = f"{len(taken)} shape{'s' * (len(taken) != 1)} labelled with {len(part_names)} parts"
+    text = f"{counted(len(taken), 'shape')} labelled with {counted(len(part_names), 'part')}"
     if asked and absent:
         text += f", {', '.join(absent)} without"
     task.summary |= {"text": text, "labelled": taken, "without": absent, "not_read": [p.file for p in problems]}

@@ -14,6 +14,7 @@ import numpy as np
 from shapeforge.collection.labels import PartNames, write_part_names, write_seg
 from shapeforge.collection.shape import Shape
 from shapeforge.stages import Progress, StageError, refresh
+from shapeforge.stages_status import counted
 from shapeforge.stages_synthesis import fitted_part_names
 from shapeforge.store import Problem, Project
 from shapeforge.store_arrays import clear_disk_errors, replacing, write_text
@@ -56,7 +57,7 @@ def export(
     found = project.descriptors()
     if found is not None:
         write_descriptors(out / "descriptors.csv", *found)
-    yield Progress("export", "write", len(names), len(names), f"{len(names)} shapes exported to {out}")
+    yield Progress("export", "write", len(names), len(names), f"{counted(len(names), 'shape')} exported to {out}")
 
 
 def write_result(
@@ -208,7 +209,7 @@ def apply(
         write_descriptors(out / "descriptors.csv", [n for n, _, _ in done], describe(machine, [p for _, p, _ in done]))
     if failed:
         raise StageError(f"{len(failed)} of {len(found)} files were not labelled: {failed[0]}")
-    yield Progress("apply", "fit", len(found), len(found), f"{len(done)} shapes labelled in {out}")
+    yield Progress("apply", "fit", len(found), len(found), f"{counted(len(done), 'shape')} labelled in {out}")
 
 
 def apply_one(name: str, path: Path, options: dict[str, Any], state: Any, hierarchy: Any) -> tuple[Any, ...]:

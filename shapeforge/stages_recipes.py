@@ -44,8 +44,12 @@ def read_recipe(path: str | Path) -> dict[str, Any]:
     """A recipe from its file.  StageError names the file and what is wrong with it."""
     try:
         found = json.loads(Path(path).read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise StageError(f"{path}: wanted a recipe that was written beside a mesh: {error}") from error
+    except OSError as error:
+        reason = (error.strerror or "cannot be read").lower()
+        raise StageError(f"{path}: {reason}. Name a MESH{ENDING} that `shapeforge synthesize` wrote.") from error
+    except ValueError as error:  # no JSON, or no text
+        reason = f"wanted a MESH{ENDING} that `shapeforge synthesize` wrote, got a file that is no JSON"
+        raise StageError(f"{path}: {reason}. Name the one beside the mesh, or make the shape anew.") from error
     if not isinstance(found, dict) or found.get("format") != "shapeforge recipe" or found.get("version") != 1:
         raise StageError(
             f"{path}: wanted a recipe of version 1, as `shapeforge synthesize` writes it beside each mesh."

@@ -62,7 +62,7 @@ def refine(task: Task) -> Iterator[Progress]:
         seen = observe(positions, hierarchy.top.label, tuple(hierarchy.top.part_names))
         rng = np.random.default_rng([task.options["seed"], number])
         for state in learn_machine(seen, rng=rng, executor=task.workers, start=start, held_out=judges):
-            yield task.progress("alternate", number, of, f"{what}, epoch {state.epoch}", state=state)
+            yield task.progress("learn", number, of, f"{what}, epoch {state.epoch}", state=state)
 
     def surfaces(state: Any) -> list[np.ndarray]:
         return [blend(state.candidates[t]).to_family(project.shapes[t].points) for t in judges.tolist()]

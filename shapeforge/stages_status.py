@@ -60,6 +60,9 @@ RESULTS: dict[str, tuple[str, ...]] = {
 
 State = Literal["missing", "partial", "done", "stale", "locked"]
 
+LONGEST_VALUE = 60
+"""Characters of an option's value in a message."""
+
 
 @dataclass(frozen=True)
 class Status:
@@ -155,7 +158,7 @@ def difference(record: Mapping[str, Any], options: Mapping[str, Any], inputs: Ma
     changed = [f"the {name} changed" for name, value in inputs.items() if old_inputs.get(name) != value]
     for name, value in options.items():
         if old_options.get(name) != value:
-            changed.append(f"{name} {value} instead of {old_options.get(name)}")
+            changed.append(f"{name} {_short(value)} instead of {_short(old_options.get(name))}")
     return ", ".join(changed) or "it was made by another version of shapeforge"
 
 
@@ -203,6 +206,17 @@ def _status(project: Project, stage: str, before: Mapping[str, Status]) -> Statu
     return Status("done", str(summary.get("text", "done")))
 
 
+def _short(value: Any) -> str:
+    """An option's value for a line of text: lists of shapes may be long."""
+    text = str(value)
+    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 1]}…"
+
+
+def counted(number: int, what: str) -> str:
+    """A number of things in words: 1 shape, 2 shapes."""
+    return f"{number} {what}{'s' * (number != 1)}"
+
+
 def lost_results(project: Project, stage: str, record: Mapping[str, Any] | None) -> str:
     """Which file of a finished stage's results is gone from the project, in words; empty when all are there."""
     if not record or record["state"] != "done":
@@ -223,12 +237,12 @@ def _import_status(project: Project, record: Mapping[str, Any] | None) -> Status
     if not number:
         return Status("missing", "no shapes yet")
     if record and record["state"] == "partial":
-        return Status("partial", f"was stopped after {number} shapes; it goes on with the rest")
+        return Status("partial", f"was stopped after {counted(number, 'shape')}; it goes on with the rest")
     changed = project.changed_sources()
     if changed:
         some = ", ".join(changed[:3]) + (", …" if len(changed) > 3 else "")
-        return Status("stale", f"{len(changed)} files changed since they were read ({some})")
-    return Status("done", f"{number} shapes")
+        return Status("stale", f"{counted(len(changed), 'file')} changed since being read ({some})")
+    return Status("done", counted(number, "shape"))
 
 
 def _label_status(project: Project) -> Status:
@@ -243,8 +257,8 @@ def _label_status(project: Project) -> Status:
         if len(without) == len(exemplars):
             return Status("partial", f"no exemplar has labels: label {', '.join(without)}")
         if without:
-            return Status("done", f"{len(labelled)} shapes; exemplars without labels: {', '.join(without)}")
-    return Status("done", f"{len(labelled)} shapes")
+            return Status("done", f"{counted(len(labelled), 'shape')}; exemplars without labels: {', '.join(without)}")
+    return Status("done", counted(len(labelled), "shape"))
 
 
 def next_step(project: Project) -> str:

@@ -8,10 +8,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 from jaxtyping import install_import_hook
 
 # before Qt is imported anywhere: real widgets on a real (virtual) screen
 os.environ.setdefault("QT_QPA_PLATFORM", "xcb")
+
+settings.register_profile("shapeforge", deadline=None)  # a busy machine is no falsifying example
+settings.load_profile("shapeforge")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 

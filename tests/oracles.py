@@ -3,8 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+
+
+def finite_differences(record: Any, field: str, value: Callable[[Any], float], step: float) -> list[np.ndarray]:
+    """Slopes of ``value(record)`` by all entries of a field of a frozen record: an array, or each of a tuple."""
+    found = getattr(record, field)
+    tuples = isinstance(found, tuple)
+    slopes = [np.empty(np.shape(item)) for item in (found if tuples else (found,))]
+    for index, slope in enumerate(slopes):
+        for place in np.ndindex(slope.shape):
+            ends = []
+            for moved in (step, -step):
+                arrays = [np.array(item) for item in (found if tuples else (found,))]
+                arrays[index][place] += moved
+                ends.append(value(replace(record, **{field: tuple(arrays) if tuples else arrays[0]})))
+            slope[place] = (ends[0] - ends[1]) / (2 * step)
+    return slopes
 
 
 def correspondences(

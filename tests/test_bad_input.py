@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 from shapeforge.cli import run_command
+from shapeforge.cli_output import follow
+from shapeforge.cli_words import names_in
+from shapeforge.stages import Progress, StageError
+from shapeforge.stages_recipes import read_recipe
+from shapeforge.stages_status import difference
 from shapeforge.store import Project
 
 CUBE = """v 0 0 0
@@ -70,10 +77,22 @@ def cube(tmp_path: Path) -> Path:
     return folder / "cube.obj"
 
 
+@pytest.fixture(scope="session")
+def imported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a cube in ``good`` and the project ``p`` of it."""
+    folder = tmp_path_factory.mktemp("imported")
+    (folder / "good").mkdir()
+    (folder / "good" / "cube.obj").write_text(CUBE)
+    assert run_command(["import", str(folder / "p"), str(folder / "good"), "--points", "200"]) == 0
+    return folder
+
+
 @pytest.fixture
-def project(tmp_path: Path, cube: Path, capsys: pytest.CaptureFixture[str]) -> Project:
-    status, _, err = run(capsys, "import", tmp_path / "p", cube, "--points", 200)
-    assert status == 0, err
+def project(tmp_path: Path, cube: Path, imported: Path) -> Project:
+    """A project of its own, of one cube, that was imported from ``cube``."""
+    shutil.copytree(imported, tmp_path, dirs_exist_ok=True)
+    file = tmp_path / "p" / "project.json"
+    file.write_text(file.read_text().replace(str(imported), str(tmp_path)))
     return Project.open(tmp_path / "p")
 
 
@@ -208,6 +227,9 @@ def test_labels_of_shapes_that_are_not_there(
     assert status == 1 and "is not a folder" in err
     status, _, err = run(capsys, "label", project.path, tmp_path, "--only", "exemplars")
     assert status == 1 and "shapeforge group" in err
+    (tmp_path / "empty").mkdir()
+    status, _, err = run(capsys, "label", project.path, tmp_path / "empty")
+    assert status == 1 and "a folder without .seg files" in err
 
 
 # -- the rest of the command line ------------------------------------------------------------------------------------
@@ -310,6 +332,39 @@ def test_json_says_what_failed(
     got, out, _ = run(capsys, *words, "--json")
     found = json.loads(out.splitlines()[-1])
     assert got == status and found["verb"] == arguments[0] and found["error"]
+
+
+def test_lines_for_a_file_tell_rounds_and_not_epochs(capsys: pytest.CaptureFixture[str]) -> None:
+    """Where there is no terminal for a bar: learning within refine has hundreds of epochs."""
+    phases = [("alternate", "round 1"), *(("learn", f"epoch {e}") for e in range(300)), ("faces", "labelled")]
+    steps = [Progress("refine", phase, 0, 3, message) for phase, message in phases]
+    assert follow(None, iter(steps), "refine") is steps[-1]
+    assert capsys.readouterr().err.split("\n") == ["  round 1", ""]
+
+
+def test_help_shows_what_a_landmark_is(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "[x, y, z]" in run(capsys, "validate", "--help")[1]
+
+
+def test_one_shape_is_no_shapes(project: Project, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "info", project.path)
+    assert status == 0 and "p: 1 shape\n" in out and "1 shapes" not in out
+
+
+def test_a_recipe_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(StageError, match=r"x\.ply\.recipe\.json: no such file.*shapeforge synthesize"):
+        read_recipe(tmp_path / "x.ply.recipe.json")
+    (tmp_path / "x.glb").write_bytes(b"glTF\xc4\xff")
+    with pytest.raises(StageError, match=r"x\.glb: wanted a MESH\.recipe\.json"):
+        read_recipe(tmp_path / "x.glb")
+
+
+def test_a_file_of_names_that_is_something_else_is_named_and_not_recited(tmp_path: Path) -> None:
+    (tmp_path / "chair.glb").write_bytes(b"glTF\xc4\xff")
+    with pytest.raises(typer.BadParameter, match="chair.glb: wanted a text file"):
+        names_in([str(tmp_path / "chair.glb")])
+    told = difference({"options": {"train": None}}, {"train": [f"v {i} 0 0" for i in range(5000)]}, {})
+    assert told.startswith("train ['v 0 0 0'") and "instead of None" in told and len(told) < 120
 
 
 def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:

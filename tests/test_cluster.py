@@ -10,8 +10,8 @@ import pytest
 from shapeforge.collection.families import generate
 from shapeforge.collection.groups import Groups, group_shapes
 from shapeforge.collection.iterate import last
-from shapeforge.collection.prepare import prepare_shape
 from shapeforge.deformation.fit import FitDiverged, fit_templates
+from tests.generated import prepared
 
 distributed = pytest.importorskip("distributed", reason="dask's distributed is not installed: pip install '.[dask]'")
 
@@ -38,10 +38,7 @@ class Lazy:
 @pytest.fixture(scope="module")
 def family():
     made = generate("chairs", 4, seed=11, broken=0.0, classes=("side",))
-    shapes = [
-        prepare_shape(f"{i}_{one.name}", one.mesh, n_points=400, up="keep", rng=np.random.default_rng(i))
-        for i, one in enumerate(made)
-    ]
+    shapes = prepared(made, 400)
     groups = Groups(("a",), np.zeros(4, int), np.array([0]), np.zeros((4, 2)))
     return shapes, groups, {0: np.asarray(made[0].faces, np.int32)}, made[0].part_names
 

@@ -13,7 +13,7 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 PACKAGE = REPOSITORY / "shapeforge"
 ROOMS = ("collection", "deformation", "generative", "synthesis", "validation", "store", "stages", "viewer")
 """From left to right: a room imports only from rooms to its left."""
-FACES = ("__init__", "cli", "cli_output", "cli_words", "demo")
+FACES = ("__init__", "cli", "cli_output", "cli_results", "cli_words", "demo")
 """Modules that import any room, the viewer lazily."""
 FORBIDDEN = {"utils", "helpers", "common", "base", "core", "manager", "config", "types"}
 QT = {"PySide6", "qtpy", "superqt", "qtawesome", "pyqtgraph"}
@@ -97,7 +97,8 @@ def loaded_by(statement: str) -> set[str]:
         "import shapeforge",
         "import shapeforge; [getattr(shapeforge, name) for name in shapeforge.__all__]",
         "import shapeforge.cli",
-        "import shapeforge.stages_collection, shapeforge.stages_model, shapeforge.stages_synthesis",
+        "import shapeforge.stages_import, shapeforge.stages_collection, shapeforge.stages_model",
+        "import shapeforge.stages_synthesis",
     ],
 )
 def test_no_import_loads_a_window(statement: str) -> None:

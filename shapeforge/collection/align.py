@@ -17,6 +17,7 @@ from shapeforge.collection._kernels_align import add_moments, nearest_both_ways
 STARTS = ("box", "identity", "spread")
 SMALLEST_STRETCH, LARGEST_STRETCH, LARGEST_SHEAR = 1 / 3, 3.0, 0.5
 SETTLED = 2e-4  # largest change of the map's entries in a step below which it has converged
+UNIT, ACROSS = np.eye(3), ~np.eye(3, dtype=bool)
 KEPT_SHARE = 0.9  # of the distances, in the trimmed residual: a tenth may belong to parts that only one shape has
 
 
@@ -98,23 +99,23 @@ def _closest_points(
     with a scale that anneals towards the typical distance, and solves the weighted least squares for the affine map,
     pulled towards the start by ``ridge`` times the mean variance of the source.
     """
-    matrix = start
+    matrix, back = start, np.linalg.inv(start)
     fixed = np.ascontiguousarray(target.T, np.float32)
     pairs = [np.empty(size, kind) for size in (len(source), len(target)) for kind in (np.int32, np.float32)]
     # The first scale lets a fifth of the target's size pass, so that legs of another length still pull.
     wide = 0.2 * float(np.linalg.norm(np.ptp(target, axis=0)))
     for _ in range(max_iterations):
         nearest_both_ways(_moved(source, matrix, offset), fixed, *pairs)
-        typical = 0.5 * float(np.sqrt(np.median(pairs[1])) + np.sqrt(np.median(pairs[3])))
+        typical = 0.5 * float(np.sqrt(median_of(pairs[1])) + np.sqrt(median_of(pairs[3])))
         moments = np.zeros(25)
         add_moments(source, target, *pairs, max(4.0 * typical, wide) ** 2 + 1e-12, moments)
         wide *= 0.8
         moments = moments / moments[0]
         mean_source, mean_target = moments[1:4], moments[4:7]
-        second = moments[7:16].reshape(3, 3) - np.outer(mean_source, mean_source)
-        cross = moments[16:].reshape(3, 3) - np.outer(mean_target, mean_source)
-        pull = ridge * np.trace(second) / 3 + 1e-12
-        fitted = _bounded(np.linalg.solve(second + pull * np.eye(3), (cross + pull * start).T).T, start)
+        second = moments[7:16].reshape(3, 3) - mean_source[:, None] * mean_source
+        cross = moments[16:].reshape(3, 3) - mean_target[:, None] * mean_source
+        pull = ridge * second.trace() / 3 + 1e-12
+        fitted = _bounded(np.linalg.solve(second + pull * UNIT, (cross + pull * start).T).T, start, back)
         through = mean_target - fitted @ mean_source
         change = max(np.abs(fitted - matrix).max(), np.abs(through - offset).max())
         matrix, offset = fitted, through
@@ -129,24 +130,35 @@ def _moved(source: np.ndarray, matrix: np.ndarray, offset: np.ndarray) -> np.nda
     return np.ascontiguousarray(matrix @ source.T + offset[:, None], np.float32)
 
 
+def median_of(values: np.ndarray) -> np.floating:
+    """The median as NumPy has it, without what that does for axes and NaN: it is asked for in every iteration."""
+    half = len(values) // 2
+    if len(values) % 2:
+        return np.partition(values, half)[half]
+    low, high = np.partition(values, (half - 1, half))[half - 1 : half + 1]
+    return (low + high) / values.dtype.type(2)
+
+
 def _trimmed_mean(squared: np.ndarray) -> float:
     """Mean of the smaller distances, from squared ones."""
     kept = max(1, int(KEPT_SHARE * len(squared)))
     return float(np.sqrt(np.sort(squared)[:kept]).mean(dtype=np.float64))
 
 
-def _bounded(matrix: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """``matrix`` with bounded stretches and bounded shear relative to ``start``; ``start`` where it would mirror."""
+def _bounded(matrix: np.ndarray, start: np.ndarray, back: np.ndarray) -> np.ndarray:
+    """``matrix`` with bounded stretches and bounded shear relative to ``start``; ``start`` where it would mirror.
+
+    ``back`` is the inverse of ``start``.
+    """
     if np.linalg.det(matrix) <= 0:
         return start
     left, stretch, right = np.linalg.svd(matrix)
-    if stretch.min() < SMALLEST_STRETCH or stretch.max() > LARGEST_STRETCH:
+    if stretch[2] < SMALLEST_STRETCH or stretch[0] > LARGEST_STRETCH:
         matrix = (left * np.clip(stretch, SMALLEST_STRETCH, LARGEST_STRETCH)) @ right
-    change = matrix @ np.linalg.inv(start)
-    sheared = np.where(np.eye(3) > 0, change, np.clip(change, -LARGEST_SHEAR, LARGEST_SHEAR))
-    if (sheared == change).all():
+    change = matrix @ back
+    if np.abs(change[ACROSS]).max() <= LARGEST_SHEAR:
         return matrix
-    matrix = sheared @ start
+    matrix = np.where(ACROSS, np.clip(change, -LARGEST_SHEAR, LARGEST_SHEAR), change) @ start
     return matrix if np.linalg.det(matrix) > 0 else start
 
 

@@ -147,7 +147,8 @@ def find_part_names(folder: str | Path) -> PartNames:
     if failed and not ids:
         raise failed[0]
     if not ids:
-        raise LabelError(folder, f"{LABELS_FILE} or labelled .seg files", f"{len(files)} .seg files without labels")
+        got = f"{len(files)} .seg files without labels" if files else "a folder without .seg files"
+        raise LabelError(folder, f"{LABELS_FILE} or labelled .seg files", got)
     return PartNames(ids, tuple(f"part {i}" for i in ids))
 
 

@@ -14,20 +14,10 @@ from jaxtyping import Bool, Float, Int
 
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation.beliefs import Beliefs
-from shapeforge.deformation.existence import (
-    DOUBT,
-    NEGLIGIBLE_SHARE,
-    SHARPNESS,
-    SUPPORTED,
-    Settle,
-    explained,
-    gap_to_surface,
-    signs_of,
-    worth_on_trial,
-)
+from shapeforge.deformation.existence import DOUBT, SHARPNESS, Settle, existence_odds
 from shapeforge.deformation.pieces import face_components
 from shapeforge.deformation.templates import Components, PartTemplates
-from shapeforge.deformation.updates import Candidates, Correspondence, Problem, mapped_normals, mapped_template
+from shapeforge.deformation.updates import Candidates, Correspondence, Problem, mapped_template
 
 INTERCEPT = -16.4
 SIGNS = {"support": 3.9, "gap": -2.9, "worth": 0.32, "facing": 3.2}
@@ -124,26 +114,11 @@ def least_likely(known: Components, odds: Float[np.ndarray, " C"]) -> int | None
 
 def _log_odds(problem, templates, known, candidates, correspondence, beliefs, unary, settle) -> Float[np.ndarray, " C"]:
     """Log odds of each component's existence (C,); -inf where hardly a point is its own, NaN where it is not asked."""
+    count = len(known.part)
     # the components first, then what else there is of each part
-    owner = np.where(known.number >= 0, known.number, len(known.part) + templates.label).astype(np.int32)
-    favourite, loss, density = explained(problem, owner, candidates, beliefs, unary)
-    alive = beliefs.alive(templates.label)
-    share = len(problem.points) / alive.sum()
-    supported = correspondence.mass > SUPPORTED * share
-    gap, normals = gap_to_surface(problem, beliefs), mapped_normals(templates, beliefs)
-    odds = np.full(len(known.part), np.nan)
-    for one in range(len(odds)):
-        mine, claimed = alive & (known.number == one), favourite == one
-        if not mine.any():
-            continue
-        if claimed.sum() < NEGLIGIBLE_SHARE * share * mine.sum():
-            odds[one] = -np.inf
-            continue
-        signs = signs_of(problem, beliefs, normals, gap, supported, mine, claimed, loss)
-        odds[one] = INTERCEPT + sum(SIGNS[name] * value for name, value in signs.items())
-        # the loss with the others staying where they are is an upper bound, as for parts
-        if odds[one] - SIGNS["worth"] * signs["worth"] < DOUBT and known.alike[one].any():
-            trial, tried, _ = settle(without_component(beliefs, known, one))
-            after = explained(problem, owner, tried, trial, unary)[2]
-            odds[one] += SIGNS["worth"] * (worth_on_trial(density, after, claimed) - signs["worth"])
-    return odds
+    owner = np.where(known.number >= 0, known.number, count + templates.label).astype(np.int32)
+    return existence_odds(
+        problem, templates, candidates, correspondence, beliefs, unary, settle, owner=owner,
+        asked=np.ones(count, bool), intercept=INTERCEPT, weights=SIGNS, known={},
+        without=lambda one: without_component(beliefs, known, one) if known.alike[one].any() else None,
+    )  # fmt: skip

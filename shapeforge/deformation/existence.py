@@ -9,7 +9,7 @@ claimed, and a part that merely looks different leaves surface behind that nobod
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -102,6 +102,54 @@ def worth_on_trial(
     return float(np.clip(before - after, 0.0, LOSS_CAP)[claimed].mean())
 
 
+def existence_odds(
+    problem: Problem,
+    templates: PartTemplates,
+    candidates: Candidates,
+    correspondence: Correspondence,
+    beliefs: Beliefs,
+    unary: Float[np.ndarray, " 3"],
+    settle: Settle,
+    *,
+    owner: Int[np.ndarray, " K"],
+    asked: Bool[np.ndarray, " N"],
+    intercept: float,
+    weights: Mapping[str, float],
+    known: Mapping[str, Float[np.ndarray, " N"]],
+    without: Callable[[int], Beliefs | None],
+) -> Float[np.ndarray, " N"]:
+    """Log odds (N,) that parts, or whatever else template points are of, exist: -inf of those that hardly a point of
+    the surface is left to, NaN of those not ``asked`` about (N,) and of those without points.
+
+    ``owner`` (K,) is whose each template point is, counted from 0.  ``weights`` are per unit of each sign (see
+    ``signs_of``) and of what is ``known`` without looking.  ``without`` gives the beliefs without one of them, None
+    where it stays anyway.
+    """
+    favourite, loss, density = explained(problem, owner, candidates, beliefs, unary)
+    alive = beliefs.alive(templates.label)
+    supported = correspondence.mass > SUPPORTED * len(problem.points) / alive.sum()
+    gap, normals = gap_to_surface(problem, beliefs), mapped_normals(templates, beliefs)
+    odds = np.full(len(asked), np.nan)
+    for one in np.flatnonzero(asked).tolist():
+        claimed, mine = favourite == one, alive & (owner == one)
+        if not mine.any():
+            continue
+        if claimed.sum() < NEGLIGIBLE_SHARE * mine.sum() / alive.sum() * len(problem.points):
+            odds[one] = -np.inf
+            continue
+        signs = signs_of(problem, beliefs, normals, gap, supported, mine, claimed, loss)
+        signs |= {name: float(value[one]) for name, value in known.items()}
+        odds[one] = intercept + sum(weights[name] * value for name, value in signs.items())
+        # the loss with the others staying where they are is an upper bound; the trial is for those that it may condemn
+        if odds[one] - weights["worth"] * signs["worth"] < DOUBT:
+            left = without(one)
+            if left is not None:
+                trial, tried, _ = settle(left)
+                after = explained(problem, owner, tried, trial, unary)[2]
+                odds[one] += weights["worth"] * (worth_on_trial(density, after, claimed) - signs["worth"])
+    return odds
+
+
 def switch_off_missing(
     problem: Problem,
     templates: PartTemplates,
@@ -119,28 +167,17 @@ def switch_off_missing(
     """
     if np.sqrt(unary.mean()) > SHARPNESS:
         return beliefs
-    favourite, loss, density = explained(problem, templates.label, candidates, beliefs, unary)
     painted = np.bincount(problem.evidence[problem.evidence >= 0], minlength=templates.n_parts) > 0
     if problem.leaning is not None:
-        painted |= np.bincount(problem.leaning.argmax(axis=1), minlength=templates.n_parts) > SEEDED * len(favourite)
-    alive = beliefs.alive(templates.label)
-    own = np.bincount(templates.label[alive], minlength=templates.n_parts)
-    supported = correspondence.mass > SUPPORTED * len(problem.points) / own.sum()
-    gap, normals = gap_to_surface(problem, beliefs), mapped_normals(templates, beliefs)
-    odds = beliefs.misfit.copy()  # those of parts found missing before are kept: the window shows them
-    for part in np.flatnonzero(beliefs.active).tolist():
-        claimed, mine = favourite == part, alive & (templates.label == part)
-        if claimed.sum() < NEGLIGIBLE_SHARE * own[part] / own.sum() * len(problem.points):
-            odds[part] = -np.inf
-            continue
-        signs = signs_of(problem, beliefs, normals, gap, supported, mine, claimed, loss)
-        signs["prevalence"] = float(prevalence[part])
-        odds[part] = INTERCEPT + sum(SIGNS[name] * value for name, value in signs.items())
-        # the loss with the others staying where they are is an upper bound; the trial is for parts that it may condemn
-        if odds[part] - SIGNS["worth"] * signs["worth"] < DOUBT and not painted[part] and beliefs.active.sum() > 1:
-            trial, tried, _ = settle(without(beliefs, part))
-            after = explained(problem, templates.label, tried, trial, unary)[2]
-            odds[part] += SIGNS["worth"] * (worth_on_trial(density, after, claimed) - signs["worth"])
+        proposed = np.bincount(problem.leaning.argmax(axis=1), minlength=templates.n_parts)
+        painted |= proposed > SEEDED * len(problem.points)
+    found = existence_odds(
+        problem, templates, candidates, correspondence, beliefs, unary, settle, owner=templates.label,
+        asked=beliefs.active, intercept=INTERCEPT, weights=SIGNS, known={"prevalence": prevalence},
+        without=lambda part: without(beliefs, part) if not painted[part] and beliefs.active.sum() > 1 else None,
+    )  # fmt: skip
+    # those of parts found missing before are kept: the window shows them
+    odds = np.where(np.isnan(found), beliefs.misfit, found)
     beliefs = replace(beliefs, misfit=odds)
     missing = beliefs.active & ~painted & (odds < DOUBT)
     if (missing == beliefs.active).all():  # the likeliest part stays

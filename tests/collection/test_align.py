@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from shapeforge.collection._kernels_align import nearest_both_ways
-from shapeforge.collection.align import Alignment, affine_align, dissimilarity, thinned
+from shapeforge.collection.align import Alignment, affine_align, dissimilarity, median_of, thinned
 
 
 def box_points(rng: np.random.Generator, size, centre, count: int) -> np.ndarray:
@@ -103,6 +103,13 @@ def test_thinned_keeps_order_and_ends(rng):
     few = thinned(points, 11)
     assert np.array_equal(few, points[::100])
     assert thinned(points, 2000) is points
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 600, 601])
+def test_the_quick_median_is_numpys_to_the_bit(rng, count: int):
+    values = rng.random(count).astype(np.float32)
+    ours, theirs = median_of(values), np.median(values)
+    assert ours == theirs and ours.dtype == theirs.dtype
 
 
 def test_errors_name_the_argument(rng):

@@ -19,6 +19,7 @@ from shapeforge.deformation.components import (
     without_component,
 )
 from shapeforge.deformation.exemplars import blend
+from shapeforge.deformation.faces import explanations, label_faces
 from shapeforge.deformation.hierarchy import Hierarchy, Link, corresponding_points, deformed_family
 from shapeforge.deformation.templates import (
     Components,
@@ -33,7 +34,8 @@ from shapeforge.deformation.updates import (
     update_correspondences,
 )
 from shapeforge.store_arrays import read_record, write_record
-from tests.deformation.test_copies import component_of_face, fitted, jets, prepared
+from tests.deformation.test_copies import N_POINTS, component_of_face, fitted, jets, right_share
+from tests.generated import prepared
 
 INNER, OUTER = ("engine left", "engine right"), ("outer engine left", "outer engine right")
 
@@ -72,6 +74,17 @@ def test_outer_engines_are_spare_on_a_shape_with_two(four_and_two):
             away = np.linalg.norm(mine[:, None] - centres[names == name][None], axis=2).min(axis=1)
             size = np.linalg.norm(np.ptp(centres[names == name], axis=0))
             assert np.mean(away < 0.2 * size) > 0.9, (t, name)
+
+
+def test_two_engines_against_an_exemplar_with_four(four_and_two):
+    """Nothing else is taken for an engine, and both engines are."""
+    made, state, shapes = four_and_two
+    engine = made[0].part_names.index("engine")
+    for t in (1, 2):
+        faces = label_faces(shapes[t], state.beliefs[t], explained=explanations(state, t))[0]
+        area = made[t].mesh.face_areas
+        assert all(right_share(made[t], faces, name) > 0.8 for name in INNER), t
+        assert area[(faces == engine) & (made[t].faces != engine)].sum() < 0.01 * area.sum(), t
 
 
 def test_shapes_with_as_many_components_lose_none(four_and_two):
@@ -132,7 +145,7 @@ def test_parts_are_counted(four_and_two):
 def test_copies_are_counted_by_pieces():
     made = generate_one("chairs", 0, seed=11, broken=0.0, classes=("side",))
     more = with_copy(made, ["leg front left"], [0.1, 0.0, 0.0])
-    shape, leg = prepared(more, 0), made.part_names.index("leg")
+    (shape,), leg = prepared([more], N_POINTS), made.part_names.index("leg")
     templates = template_from_exemplar(shape, more.faces, more.part_names)
     names = component_of_face(more)[shape.face_of_point]
     copies = np.where(np.isin(names, ["leg front left again", "leg front right"]), leg, -1).astype(np.int32)

@@ -11,7 +11,6 @@ from shapeforge.collection.families import generate_one
 from shapeforge.collection.families.copies import with_copy, without_components
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.iterate import last
-from shapeforge.collection.prepare import prepare_shape
 from shapeforge.deformation.apply import fit_candidates
 from shapeforge.deformation.copies import find_copies
 from shapeforge.deformation.exemplars import blend
@@ -19,17 +18,14 @@ from shapeforge.deformation.faces import Explanations, explanations, label_faces
 from shapeforge.deformation.fit import fit_templates
 from shapeforge.deformation.templates import template_from_exemplar
 from shapeforge.store_arrays import read_record, write_record
+from tests.generated import prepared
 
 N_POINTS = 1500
 
 
-def prepared(made, index: int):
-    return prepare_shape(f"{index}", made.mesh, n_points=N_POINTS, up="keep", rng=np.random.default_rng(index))
-
-
 def fitted(exemplar, others):
     """The last state of a fit with one painted exemplar, and the shapes."""
-    shapes = [prepared(made, index) for index, made in enumerate([exemplar, *others])]
+    shapes = prepared([exemplar, *others], N_POINTS)
     count = len(shapes)
     groups = Groups(("a",), np.zeros(count, int), np.array([0]), np.zeros((count, 2)))
     painted = {0: exemplar.faces.astype(np.int32)}
@@ -124,16 +120,6 @@ def test_new_shapes_have_copies_too_and_they_are_stored(two_and_four, tmp_path):
         np.testing.assert_array_equal(before.copies, after.copies)
 
 
-def test_two_engines_against_an_exemplar_with_four():
-    """Nothing else is taken for an engine, and both engines are."""
-    exemplar, shape = jets(True, 1)[0], jets(False, 1)[0]
-    state, shapes = fitted(exemplar, [shape])
-    faces = label_faces(shapes[1], state.beliefs[1], explained=explanations(state, 1))[0]
-    engine, area = shape.part_names.index("engine"), shape.mesh.face_areas
-    assert right_share(shape, faces, "engine left") > 0.8 and right_share(shape, faces, "engine right") > 0.8
-    assert area[(faces == engine) & (shape.faces != engine)].sum() < 0.01 * area.sum()
-
-
 def test_a_fifth_leg_is_a_leg():
     made = [generate_one("chairs", i, seed=11, broken=0.0, classes=("side",)) for i in range(3)]
     exemplar, five = made[0], []
@@ -153,7 +139,7 @@ def test_legs_that_rails_tie_together_are_components_each():
         made = generate_one("chairs", index, seed=11, broken=0.0, classes=("side",))
         if "stretcher left" in made.components:
             break
-    shape, leg = prepared(made, 0), made.part_names.index("leg")
+    (shape,), leg = prepared([made], N_POINTS), made.part_names.index("leg")
     templates = template_from_exemplar(shape, made.faces, made.part_names)
     mine = np.flatnonzero(templates.label == leg)
     true = component_of_face(made)[shape.face_of_point]

@@ -10,13 +10,13 @@ import pytest
 from shapeforge.collection.families import generate
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.iterate import last
-from shapeforge.collection.prepare import prepare_shape
 from shapeforge.deformation import family
 from shapeforge.deformation.exemplars import WORTHLESS, believed_parts, leading, worth_hearing
 from shapeforge.deformation.factors import FLOORS
 from shapeforge.deformation.fit import HEARD_ROUNDS, fit_templates
 from shapeforge.deformation.hierarchy import family_templates
 from tests.deformation.test_hierarchy import PARTS, chair
+from tests.generated import prepared, true_parts
 
 
 @pytest.fixture(scope="module")
@@ -24,12 +24,9 @@ def family_fit():
     """A side chair is painted, and an armchair but for its legs; among the others is another armchair."""
     made = generate("chairs", 2, seed=11, broken=0.0, classes=("side",))
     made += generate("chairs", 2, seed=11, broken=0.0, classes=("armchair",))
-    shapes = [
-        prepare_shape(f"{i}", one.mesh, n_points=700, up="keep", rng=np.random.default_rng(i))
-        for i, one in enumerate(made)
-    ]
+    shapes = prepared(made, 700)
     names = made[-1].part_names
-    truth = [np.array([names.index(one.part_names[part]) for part in one.faces], np.int32) for one in made]
+    truth = true_parts(made, names)
     groups = Groups(("a", "b"), np.array([0, 0, 0, 1]), np.array([0, 3]), np.zeros((4, 2)))
     labels = {0: truth[0], 3: np.where(truth[3] == names.index("leg"), -1, truth[3])}
     return names, last(fit_templates(shapes, groups, labels, names, rounds=8, rng=np.random.default_rng(0)))
@@ -114,12 +111,10 @@ def test_given_up_exemplars_are_not_taken_up_again():
     made = generate("chairs", 2, seed=3, broken=0.0, classes=("side",)) + generate(
         "chairs", 2, seed=3, broken=0.0, classes=("bench",)
     )
-    shapes = [
-        prepare_shape(f"{i}", one.mesh, n_points=400, up="keep", rng=np.random.default_rng(i))
-        for i, one in enumerate(made)
-    ]
+    shapes = prepared(made, 400)
     names = made[0].part_names
-    labels = {t: np.array([names.index(made[t].part_names[part]) for part in made[t].faces], np.int32) for t in (0, 2)}
+    truth = true_parts(made, names)
+    labels = {t: truth[t] for t in (0, 2)}
     groups = Groups(("chairs", "benches"), np.array([0, 0, 1, 1]), np.array([0, 2]), np.zeros((4, 2)))
     counts = []
     for state in fit_templates(shapes, groups, labels, names, rounds=10, rng=np.random.default_rng(0)):

@@ -13,12 +13,12 @@ from scipy.spatial import cKDTree
 
 from shapeforge.collection.families import generate
 from shapeforge.collection.groups import Groups
-from shapeforge.collection.prepare import prepare_shape
 from shapeforge.deformation.apply import fit_candidates
 from shapeforge.deformation.exemplars import believed_parts, blend
 from shapeforge.deformation.faces import explanations, face_probabilities, label_faces, template_probabilities
 from shapeforge.deformation.fit import FitDiverged, Within, fit_templates
 from shapeforge.deformation.hierarchy import corresponding_points
+from tests.generated import prepared, true_parts
 
 N_POINTS = 700
 
@@ -28,12 +28,9 @@ def family():
     """Five side chairs and an armchair; the armchair and one side chair are exemplars."""
     made = generate("chairs", 5, seed=11, broken=0.0, classes=("side",))
     made += generate("chairs", 1, seed=11, broken=0.0, classes=("armchair",))
-    shapes = [
-        prepare_shape(f"{i}_{one.name}", one.mesh, n_points=N_POINTS, up="keep", rng=np.random.default_rng(i))
-        for i, one in enumerate(made)
-    ]
+    shapes = prepared(made, N_POINTS)
     names = made[-1].part_names
-    truth = [np.array([names.index(one.part_names[part]) for part in one.faces], np.int32) for one in made]
+    truth = true_parts(made, names)
     groups = Groups(("a", "b"), np.array([0, 0, 0, 0, 0, 1]), np.array([0, 5]), np.zeros((6, 2)))
     return shapes, groups, truth, names
 
@@ -107,7 +104,8 @@ def test_what_was_proposed_is_not_forgotten_after_the_start(family, monkeypatch)
     seeds = true_seeds(family)
 
     def fit():
-        return list(fit_templates(shapes, groups, {}, names, seeds=seeds, rounds=4, rng=np.random.default_rng(0)))
+        options = {"seeds": seeds, "rounds": 3, "family_rounds": 2, "rng": np.random.default_rng(0)}
+        return list(fit_templates(shapes, groups, {}, names, **options))
 
     ours = accuracy(family, fit())
     monkeypatch.setattr("shapeforge.deformation.fit.SEED_WEIGHT", 0.0)
@@ -142,16 +140,23 @@ def same(a, b) -> bool:
     )
 
 
-def test_same_bytes_with_any_number_of_workers(family, states):
+@pytest.fixture(scope="module")
+def told(family):
+    """The same fit by three workers, which also says within a round how far it is."""
     with ThreadPoolExecutor(3) as executor:
-        assert same(run(family, executor=executor)[-1], states[-1])
+        return run(family, executor=executor, within=True)
+
+
+def test_same_bytes_with_any_number_of_workers(told, states):
+    ends = [one for one in told if not isinstance(one, Within)]
+    assert len(ends) == len(states) and all(map(same, ends, states))
 
 
 def test_only_the_state_at_hand_is_held_and_in_single_precision(family):
     shapes, groups, truth, names = family
-    rounds = fit_templates(shapes, groups, {0: truth[0], 5: truth[5]}, names, rounds=2, rng=np.random.default_rng(0))
+    labels, rng = {0: truth[0], 5: truth[5]}, np.random.default_rng(0)
     earlier = []
-    for state in rounds:
+    for state in fit_templates(shapes, groups, labels, names, rounds=2, family_rounds=2, rng=rng):
         gc.collect()
         held = [candidate.beliefs for tried in state.candidates for candidate in tried]
         now = {id(array) for b in held for array in (b.deformed, b.segmentation)}  # the exemplars' stay to the end
@@ -179,7 +184,7 @@ def test_shapes_are_read_as_they_are_needed(family):
             return future
 
     ahead, done = [], [0]
-    many = Lazy(shapes * 4)
+    many = Lazy(shapes * 2)
     everyone = Groups(("a",), np.zeros(len(many), int), np.array([0]), np.zeros((len(many), 2)))
     with Watchful(1) as executor:
         next(fit_templates(many, everyone, {0: truth[0]}, names, rng=np.random.default_rng(0), executor=executor))
@@ -187,8 +192,9 @@ def test_shapes_are_read_as_they_are_needed(family):
 
 
 def test_a_resumed_fit_equals_an_uninterrupted_one(family, states):
-    rest = run(family, resume=states[2])
-    assert rest[0].round == 3
+    stopped = states[-1].family_from - 1  # the last round of the exemplars' and all of the family's are left
+    rest = run(family, resume=states[stopped])
+    assert rest[0].round == stopped + 1
     assert same(rest[-1], states[-1])
 
 
@@ -264,13 +270,9 @@ def test_a_new_shape_is_fitted_without_refitting(family, states):
     assert alone > together - 0.03, "as good as when the shape was part of the family's fit"
 
 
-def test_telling_how_far_a_round_is_changes_nothing(family):
-    told = run(family, rounds=2, within=True)
-    plain = run(family, rounds=2)
-    ends = [one for one in told if not isinstance(one, Within)]
-    assert len(ends) == len(plain) and same(ends[-1], plain[-1])
+def test_within_a_round_it_is_told_how_far_it_is(family, told, states):
     number = len(family[0])
-    for state in plain:
+    for state in states:
         inside = [one for one in told if isinstance(one, Within) and one.round == state.round]
-        assert [one.shape for one in inside] == list(range(1, number)) and {one.of for one in inside} == {plain[0].of}
+        assert [one.shape for one in inside] == list(range(1, number)) and {one.of for one in inside} == {states[0].of}
     assert [one.round for one in told] == sorted(one.round for one in told)

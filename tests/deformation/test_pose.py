@@ -23,6 +23,7 @@ from shapeforge.deformation.pose import (
     posed_starts,
     settled_turn,
 )
+from tests.generated import prepared
 
 UP = np.array([0.0, 1.0, 0.0])
 
@@ -143,10 +144,7 @@ def test_beliefs_turn_points_and_priors_between_shape_and_family():
 def painted():
     """Three side chairs; the first is the exemplar, the last lies on its back, facing away."""
     made = generate("chairs", 3, seed=11, broken=0.0, classes=("side",))
-    shapes = [
-        prepare_shape(f"{i}", one.mesh, n_points=600, up="keep", rng=np.random.default_rng(i))
-        for i, one in enumerate(made)
-    ]
+    shapes = prepared(made, 600)
     wrong = AXIS_ROTATIONS[14]
     assert abs(wrong[1, 1]) < 0.5
     shapes[2] = turned(shapes[2], wrong, "")

@@ -8,6 +8,7 @@ import pytest
 
 from shapeforge.generative.finetuning import Batch, TopPrior, loss_and_gradient
 from tests.generative.tiny import tiny_machine
+from tests.oracles import finite_differences
 
 
 def setting(seed, above=(3, 2)):
@@ -31,20 +32,14 @@ def test_reverse_pass_equals_finite_differences(name, seed, above):
     machine, prior, batch = setting(seed, above)
     gradient = loss_and_gradient(machine, prior, batch)[1][name]
     owner, field = (prior, name.removeprefix("prior_")) if name.startswith("prior_") else (machine, name)
-    tuples = isinstance(gradient, tuple)
+    slopes = gradient if isinstance(gradient, tuple) else (gradient,)
+
+    def loss(changed):
+        pair = (machine, changed) if owner is prior else (changed, prior)
+        return loss_and_gradient(*pair, batch)[0].loss
+
     largest = 0.0
-    for index, slope in enumerate(gradient if tuples else (gradient,)):
-        measured = np.empty(slope.shape)
-        for place in np.ndindex(slope.shape):
-            ends = []
-            for step in (1e-6, -1e-6):
-                value = getattr(owner, field)
-                arrays = [np.array(item) for item in value] if tuples else [np.array(value)]
-                arrays[index][place] += step
-                changed = replace(owner, **{field: tuple(arrays) if tuples else arrays[0]})
-                pair = (machine, changed) if owner is prior else (changed, prior)
-                ends.append(loss_and_gradient(*pair, batch)[0].loss)
-            measured[place] = (ends[0] - ends[1]) / 2e-6
+    for slope, measured in zip(slopes, finite_differences(owner, field, loss, 1e-6), strict=True):
         np.testing.assert_allclose(slope, measured, atol=2e-6, rtol=2e-5)
         largest = max(largest, float(np.abs(measured).max()))
     nothing_between = name == "couplings" and not above
