@@ -55,8 +55,8 @@ from shapeforge.viewer.scene import Scene
 clock: Callable[[], float] = time.perf_counter
 WIDTH, HEIGHT = 1000, 640
 BRUSH = 0.034  # diagonals, the window's own
-FINE = 10_000
-"""Triangles of every training shape of the sliders' family: results then have about 20 000."""
+FINE, RESULT = 10_000, 20_000
+"""Least triangles of every training shape of the sliders' family, and of the shape that is moved."""
 
 
 def bumpy_sheet(n_faces: int) -> Mesh:
@@ -174,15 +174,17 @@ def quartered(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, 
 
 
 class Moves:
-    """Random moves of sliders on one shape of a family, as the window makes them."""
+    """Random moves of sliders on the shape of a family that has about RESULT triangles, as the window makes them."""
 
     def __init__(self, family: TrueFamily, seed: int) -> None:
         self.rng = np.random.default_rng(seed)
         observations = observe(family.positions, family.part, family.part_names)
         self.machine = last(learn_machine(observations, rng=self.rng, epochs=2)).machine
         self.directions = directions(self.machine, fit_mixture(self.machine, observations), observations)
-        self.base = infer(self.machine, observations.values[:1], observations.exists[:1])
-        self.exists, self.positions = observations.exists[0], observations.positions()
+        sizes = np.array([len(shape.mesh.triangles) for shape in family.shapes])
+        index = int(np.abs(sizes - RESULT).argmin())
+        self.base = infer(self.machine, observations.values[[index]], observations.exists[[index]])
+        self.exists, self.positions = observations.exists[index], observations.positions()
         self.settings: dict[int, float] = {}
 
     def move(self) -> np.ndarray:

@@ -436,6 +436,9 @@ def test_a_draw_of_the_gallery_is_taken_with_a_click_and_can_be_undone(place, qt
     assert not np.array_equal(gallery.recipes[1].base.top, wanted.base.top), "other draws each time"
     qtbot.keyClick(gallery, Qt.Key.Key_Escape)
     assert place.view.isVisibleTo(place.centre)
+    assert place.actions.run("gallery") and not place.view.isVisibleTo(place.centre)
+    place.actions.run("mean_shape")
+    assert place.view.isVisibleTo(place.centre) and not gallery.isVisibleTo(place.centre), "what was changed is seen"
 
 
 def test_a_part_is_taken_from_a_shape_of_ones_choice(place, qtbot):

@@ -173,6 +173,7 @@ class SynthesizePlace:
         if not self._entered or not self.sculptor.has_machine:
             return
         self.between.end_if_left()
+        self.shows.leave_gallery()
         self._wish, self.problem = self._wish + 1, ""
         self._recipe = self.sculptor.recipe
         self.points = self.sculptor.points()

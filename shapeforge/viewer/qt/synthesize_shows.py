@@ -213,6 +213,11 @@ class Shows:
         self.show_pictures()
         self.gallery.setFocus()
 
+    def leave_gallery(self) -> None:
+        """Back to the shape, if the gallery hides it: it has just been changed."""
+        if self.gallery.isVisibleTo(self.place.centre):
+            self.show_gallery(False)
+
     def show_pictures(self) -> None:
         """The gallery's cards with what there is by now."""
         if self.gallery.isVisible():
