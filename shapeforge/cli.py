@@ -265,9 +265,7 @@ def synthesize(
     ] = None,
     take: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="PART=SHAPE", help="Take this part from that shape (repeatable); none: forget earlier ones."
-        ),
+        typer.Option(metavar="PART=SHAPE", help="Take this part from that shape (repeatable)."),
     ] = None,
     having: Annotated[
         list[str] | None, typer.Option("--with", metavar="PART", help="All have it (repeatable).")
@@ -287,7 +285,11 @@ def synthesize(
     restart: Restart = False,
     as_json: Json = False,
 ) -> None:
-    """Make new labelled meshes."""
+    """Make new labelled meshes.
+
+    What the shapes are to be like (--with, --without, --like, --between, --hold, --take) holds for this run only; all
+    other options that are not given stay as in the last run.
+    """
     if recipe:
         from shapeforge.stages_recipes import remake_files
         from shapeforge.store import Project
@@ -300,9 +302,9 @@ def synthesize(
         return
     run_stage(
         path, "synthesize", as_json, jobs=jobs, restart=restart, out=str(out.absolute()), count=count, format=format,
-        temperature=temperature, having=names_in(having) or [], lacking=names_in(lacking) or [], hold=hold or [],
-        like=like or "", between=list(two_names(between, ",", "--between")) if between else [],
-        route=route, union=union, colours=colours, take=[] if take == ["none"] else take, seed=seed,
+        temperature=temperature, having=names_in(having), lacking=names_in(lacking), hold=hold, like=like,
+        between=None if between is None else two_names(between, ",", "--between"), take=take, route=route, union=union,
+        colours=colours, seed=seed,
     )  # fmt: skip
 
 

@@ -26,7 +26,12 @@ DEFAULTS: dict[str, dict[str, Any]] = {
         "route": "parts", "union": False, "colours": "parts", "format": "glb", "out": None, "seed": 0,
     },
 }  # fmt: skip
-"""Options of every stage.  An option that is not given keeps the value of the project's last run of the stage."""
+"""Options of every stage.  An option that is not given keeps the value of the project's last run of the stage, but for
+those in ``ONCE``."""
+
+ONCE: dict[str, tuple[str, ...]] = {"synthesize": ("having", "lacking", "hold", "like", "between", "take")}
+"""Wishes for one run, which say what the new shapes are to be like: where any option is given, those that are not are
+back at their defaults.  A run without any options repeats the last one."""
 
 ARGUMENTS: dict[str, tuple[str, ...]] = {"import": ("meshes",), "label": ("labels", "only")}
 """What a stage is given besides options: files that are read now and need not be there later."""
@@ -68,8 +73,10 @@ class Status:
 
 
 def options_of(stage: str, record: Mapping[str, Any] | None, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Options as given, else as the last run had them, else the defaults; in JSON's types."""
+    """Options as given, else as the last run had them (see ``ONCE``), else the defaults; in JSON's types."""
     last = record["options"] if record else {}
+    if given:
+        last = {name: value for name, value in last.items() if name not in ONCE.get(stage, ())}
     if stage == "cosegment" and any(name in given and given[name] != last.get(name) for name in ("parts", "seed")):
         last = {name: value for name, value in last.items() if name != "edits"}  # they were about other parts
     options = {name: given.get(name, last.get(name, default)) for name, default in DEFAULTS[stage].items()}

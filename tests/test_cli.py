@@ -248,7 +248,7 @@ def test_a_part_is_taken_from_the_shape_that_is_named(folder: Path, tmp_path: Pa
     for asked, expected in (("seat=sofa", "sofa"), ("wing=chair_0000", "wing"), ("seat", "PART=SHAPE")):
         status, _, err = run(capsys, *line, "--take", asked)
         assert status == 1 and expected in err
-    status, _, err = run(capsys, *line, "--route", "surface")
+    status, _, err = run(capsys, *line, "--route", "surface", "--take", f"seat={project.fit_names[3]}")
     assert status == 1 and "--route parts" in err
 
 

@@ -31,7 +31,7 @@ from shapeforge.stages_draws import drawn_as_asked, latents_of
 from shapeforge.stages_model import curve, named_split, starting_groups, starting_parts
 from shapeforge.stages_pose import turn_by_hand
 from shapeforge.stages_refine import judging_shapes, machine_prior, on_template
-from shapeforge.stages_status import Corrections, corrections
+from shapeforge.stages_status import Corrections, corrections, options_of
 from shapeforge.store import Project
 from shapeforge.workers import Workers
 
@@ -685,6 +685,26 @@ def test_a_new_shape_joins_the_exemplar_it_is_like(grouped: Project) -> None:
     without[members] = -1
     joined = join_groups(replace(groups, group=without), shapes, members)
     assert np.array_equal(joined.group, groups.group), "found among the same exemplars, it is the same group"
+
+
+# -- which options stay ------------------------------------------------------------------------------------------------
+
+
+def test_what_new_shapes_are_to_be_like_is_asked_for_anew_each_time() -> None:
+    """How they are made and written stays as it was."""
+    wishes = {
+        "having": ["arm"], "lacking": ["leg"], "hold": ["1:2=0.9"], "like": "chair_0001", "take": ["seat=chair_0001"],
+        "between": ["chair_0001", "chair_0002"],
+    }  # fmt: skip
+    ways = {"count": 3, "temperature": 0.5, "route": "surface", "union": True, "colours": "sources", "format": "ply"}
+    assert set(wishes) | set(ways) | {"seed", "out"} == set(stages.DEFAULTS["synthesize"])
+    record = {"options": options_of("synthesize", None, wishes | ways)}
+    assert record["options"].items() >= (wishes | ways).items()
+    later = options_of("synthesize", record, {"out": "elsewhere"})
+    assert later.items() >= ways.items() and later["out"] == "elsewhere"
+    assert {name: later[name] for name in wishes} == {name: stages.DEFAULTS["synthesize"][name] for name in wishes}
+    assert options_of("synthesize", record, {"like": "chair_0002"})["like"] == "chair_0002"
+    assert options_of("synthesize", record, {}) == record["options"], "nothing given: the last run again"
 
 
 # -- what is drawn ----------------------------------------------------------------------------------------------------

@@ -57,6 +57,29 @@ def build_tree(low, high, centre):
 
 
 @njit(cache=True, nogil=True)
+def refit_tree(corners, order, first, count, right):
+    """Node boxes low/high (M,3) of a tree made for the same triangles elsewhere; ``corners`` (N,3,3) are where now.
+
+    Children come after their parents, so one pass from the last node to the first will do.
+    """
+    nodes = first.shape[0]
+    node_low, node_high = np.empty((nodes, 3)), np.empty((nodes, 3))
+    for node in range(nodes - 1, -1, -1):
+        for axis in range(3):
+            low, high = np.inf, -np.inf
+            if count[node] > 0:
+                for j in range(first[node], first[node] + count[node]):
+                    for corner in range(3):
+                        place = corners[order[j], corner, axis]
+                        low, high = min(low, place), max(high, place)
+            else:
+                low = min(node_low[node + 1, axis], node_low[right[node], axis])
+                high = max(node_high[node + 1, axis], node_high[right[node], axis])
+            node_low[node, axis], node_high[node, axis] = low, high
+    return node_low, node_high
+
+
+@njit(cache=True, nogil=True)
 def closest_on_triangle(px, py, pz, corner):
     """Closest point (x, y, z) of a triangle, corner (3,3), to p (Ericson, Real-Time Collision Detection 5.1.5).
 

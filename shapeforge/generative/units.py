@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 
 from shapeforge.generative.draw import Mixture
 from shapeforge.generative.inference import Latents, decode, descend, expected_values, infer, logit, sigmoid
-from shapeforge.generative.machine import BetaShapeMachine
+from shapeforge.generative.machine import FLOOR, BetaShapeMachine
 from shapeforge.generative.observations import Observations
 
 BINS = 16
@@ -27,6 +27,9 @@ SAME = 0.7
 MOST_PATTERNS = 8
 """Combinations of parts on which a slider's effect is measured."""
 
+PROMISING = 4
+"""So many times the single units wanted are measured."""
+
 BIG_MOVE = 0.4
 """A part is named in a caption when its points move at least this share of what the part that moves most does."""
 
@@ -34,11 +37,12 @@ BIG_MOVE = 0.4
 @dataclass(frozen=True, eq=False)
 class Direction:
     """One slider.  Its value is added to the logits of a layer along ``vector``: the top for kind
-    "direction", H1 for "bundle"; 0 leaves a shape as it is.
+    "direction", H1 for "bundle" and "unit"; 0 leaves a shape as it is.
 
     ``low`` and ``high`` are the 5th and 95th percentile over the training shapes, relative to their median;
     ``histogram`` (b,) counts the shapes between ``edges`` (b+1,).  ``moves`` (K,) is how far each point goes, in
-    diagonals, from low to high; ``parts`` the names of the parts that move most.
+    diagonals, from low to high; ``parts`` the names of the parts that move most.  ``unit`` is the number, in its layer,
+    of the unit that leads a bundle or is alone; None for a direction.
     """
 
     name: str
@@ -51,6 +55,7 @@ class Direction:
     edges: Float[np.ndarray, " e"]
     moves: Float[np.ndarray, " K"]
     parts: tuple[str, ...]
+    unit: int | None = None
 
     @property
     def heat(self) -> Float[np.ndarray, " K"]:
@@ -119,7 +124,37 @@ def bundles(machine: BetaShapeMachine, observations: Observations, count: int = 
             break
         alike = (abs(float(vector @ o.vector)) / (strength * np.linalg.norm(o.vector)) for o in found)
         if max(alike, default=0.0) < SAME:
-            found.append(_direction(machine, typical, vector, upper[:, unit], "bundle"))
+            found.append(replace(_direction(machine, typical, vector, upper[:, unit], "bundle"), unit=int(unit)))
+    found.sort(key=lambda direction: -direction.size)
+    return [_named(direction, index) for index, direction in enumerate(found[:count])]
+
+
+def single_units(machine: BetaShapeMachine, observations: Observations, count: int = 8) -> list[Direction]:
+    """The ``count`` units of H1 that change shapes most, each by itself: measured displacement x observed swing.
+
+    Which to measure is told by the derivative of the points at rest times the unit's swing over the shapes that have
+    its part.
+    """
+    latents = infer(machine, observations.values, observations.exists)
+    within = _within_patterns(_logits(latents.first), observations.exists)
+    typical = _typical_shapes(latents, within)
+    promise = np.zeros(machine.sizes[0])
+    for index, slot in enumerate(machine.units_of_part):
+        has = observations.exists[:, index]
+        if not has.any() or slot.stop == slot.start:
+            continue
+        swing = np.subtract(*np.percentile(latents.first[has][:, slot], (95, 5), axis=0))
+        alpha, beta = (np.maximum(rest, FLOOR) for rest in machine.rest[index])
+        (up, down), both = machine.weights[index], (alpha + beta)[:, None] ** 2
+        slope = (up * beta[:, None] - down * alpha[:, None]) / both
+        promise[slot] = has.mean() * swing * np.abs(slope).sum(axis=0)
+    found = []
+    for unit in np.argsort(-promise, kind="stable")[: PROMISING * count]:
+        part = next(l for l, slot in enumerate(machine.units_of_part) if slot.start <= unit < slot.stop)
+        values = within[observations.exists[:, part], unit]
+        if promise[unit] > 0 and np.ptp(values) > 0:
+            vector = np.eye(1, machine.sizes[0], int(unit))[0]
+            found.append(replace(_direction(machine, typical, vector, values, "unit"), unit=int(unit)))
     found.sort(key=lambda direction: -direction.size)
     return [_named(direction, index) for index, direction in enumerate(found[:count])]
 
@@ -169,10 +204,11 @@ def drive_latents(
     """As ``drive``, with the latents of the result."""
     dtype = machine.dtype
     present = base.exists[:1] if exists is None else exists[None]
-    steps = {"direction": np.zeros(machine.sizes[-1]), "bundle": np.zeros(machine.sizes[0])}
+    top, first = np.zeros(machine.sizes[-1]), np.zeros(machine.sizes[0])
     for index, value in settings.items():
-        steps[directions[index].kind] += value * directions[index].vector
-    moved = _moved(machine, base[:1], steps["direction"][None].astype(dtype), steps["bundle"][None].astype(dtype))
+        step = top if directions[index].kind == "direction" else first
+        step += value * directions[index].vector
+    moved = _moved(machine, base[:1], top[None].astype(dtype), first[None].astype(dtype))
     latents = Latents(moved.layers, present)
     return machine.to_positions(decode(machine, latents), present)[0], latents
 
@@ -180,6 +216,12 @@ def drive_latents(
 def _bundle_layer(machine: BetaShapeMachine) -> int:
     """The layer whose units lead bundles: H2, or H1 in a machine without."""
     return min(1, machine.n_layers - 1)
+
+
+def layer_of(machine: BetaShapeMachine, direction: Direction) -> int:
+    """The layer whose logits a slider's values are."""
+    layers = {"direction": machine.n_layers - 1, "bundle": _bundle_layer(machine), "unit": 0}
+    return layers[direction.kind]
 
 
 def _moved(machine: BetaShapeMachine, base: Latents, top_step: np.ndarray, first_step: np.ndarray) -> Latents:
@@ -244,7 +286,7 @@ def _direction(
 
 
 def _named(direction: Direction, index: int) -> Direction:
-    name = f"{direction.kind.capitalize()} {index + 1}"
+    name = f"{direction.kind.capitalize()} {index + 1 if direction.kind != 'unit' else direction.unit + 1}"
     caption = f"moves {direction.caption} of the shape's size"
     return replace(direction, name=name, caption=caption)
 

@@ -22,7 +22,7 @@ from shapeforge.synthesis.contacts import (
 from shapeforge.synthesis.measures import inverted_triangles, symmetry_error
 from shapeforge.synthesis.retrieve import retrieve
 from shapeforge.synthesis.sources import Sources
-from shapeforge.synthesis.surfaces import good_triangles
+from shapeforge.synthesis.surfaces import sized_triangles
 
 CONTACT_ROUNDS = 3
 """Times that the contacts are looked at anew: a part that moved may leave another one behind."""
@@ -158,7 +158,7 @@ def _merge(parts: PutTogether, sources: Sources) -> SynthesizedShape:
     folds, miss, colours = 0, [], [np.zeros((0, 3), np.uint8)]
     for l, piece in bent.items():
         moved = unfolded(piece)
-        keep = good_triangles(moved, piece.source.triangles)
+        keep = sized_triangles(moved, piece.source.triangles) & piece.source.distinct
         vertices.append(moved)
         triangles.append((piece.source.triangles[keep] + count).astype(np.int32))
         part.append(np.full(int(keep.sum()), l, np.int32))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +14,6 @@ from shapeforge.collection.shape import Mesh
 from shapeforge.synthesis.embedded import Problem, Weights, even_strength, pre_align, solve_exactly, solve_quickly
 from shapeforge.synthesis.measures import inverted_pairs, inverted_triangles
 from shapeforge.synthesis.sources import Anchors, SourcePart
-from shapeforge.synthesis.surfaces import as_mesh
 
 ANCHOR_STRENGTH = 20.0
 """Weight of an anchor, in constraints per node: a contact outweighs the drawn points around it."""
@@ -43,15 +43,15 @@ class BentPart:
     x: Float[np.ndarray, "M 3"]
     anchors: Mapping[int, Anchors]
 
-    @property
+    @cached_property
     def vertices(self) -> Float[np.ndarray, "V 3"]:
         """Vertices as bent so far."""
         return self.source.rows @ self.x
 
-    @property
+    @cached_property
     def surface(self) -> Mesh:
         """The bent part as a mesh."""
-        return as_mesh(self.vertices, self.source.triangles)
+        return self.source.surface.moved(self.vertices)
 
 
 def start_part(source: SourcePart, points: Float[np.ndarray, "K 3"]) -> BentPart | None:

@@ -17,7 +17,7 @@ from shapeforge.synthesis.bending import BentPart, aim
 from shapeforge.synthesis.depths import depths, pushed_back
 from shapeforge.synthesis.measures import gap
 from shapeforge.synthesis.sources import ANCHORS, Anchors, SourcePart, land_on
-from shapeforge.synthesis.surfaces import as_mesh, farthest_points
+from shapeforge.synthesis.surfaces import farthest_points
 
 FALLOFF = 0.12
 """Drawn points move along with an anchor up to about this distance (diagonals), so that the part doesn't kink."""
@@ -265,7 +265,7 @@ def contact_gaps(
 
 def training_gaps(parts: Mapping[int, SourcePart]) -> dict[tuple[int, int], float]:
     """The same (diagonals) of the parts of a training shape that touch, as they are there."""
-    surfaces = {l: as_mesh(part.vertices, part.triangles) for l, part in parts.items()}
+    surfaces = {l: part.surface for l, part in parts.items()}
     anchors, pieces = {l: part.anchors for l, part in parts.items()}, {l: part.piece for l, part in parts.items()}
     pairs = [(l, o) for l in parts for o in parts if l < o and o in anchors[l] and l in anchors[o]]
     return {pair: _gap(pair, surfaces, pieces, anchors)[0] for pair in pairs}

@@ -14,14 +14,19 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from shapeforge.collection.shape import Mesh, Shape
-from shapeforge.collection.surface import closest_points
+from shapeforge.collection.surface import SearchedMesh, closest_points
 from shapeforge.synthesis.cleaning import neighbours
 from shapeforge.synthesis.depths import depths, directions_into
 from shapeforge.synthesis.embedded import DeformationGraph, build_graph
 from shapeforge.synthesis.measures import PartQuality
 from shapeforge.synthesis.mirror import FamilyMirror, find_mirror
 from shapeforge.synthesis.parts import cut_mesh, cut_part
-from shapeforge.synthesis.surfaces import as_mesh, farthest_points, touching_pieces
+from shapeforge.synthesis.surfaces import (
+    as_mesh,
+    distinct_triangles,
+    farthest_points,
+    touching_pieces,
+)
 
 FEWEST_POINTS = 6
 """Corresponding points that a part needs on a shape, or it counts as absent there."""
@@ -86,13 +91,23 @@ class SourcePart:
 
     @cached_property
     def piece_of_handle(self) -> Int[np.ndarray, " C"]:
-        """Number of the piece that each handle lies on."""
+        """Number of the piece of the vertex nearest to each handle."""
         return self.piece[cKDTree(self.vertices).query(self.handles)[1]]
 
     @cached_property
     def piece_of_node(self) -> Int[np.ndarray, " N"]:
-        """Number of the piece of each node of ``graph``."""
+        """Number of the piece of the vertex nearest to each node of ``graph``."""
         return self.piece[cKDTree(self.vertices).query(self.graph.nodes)[1]]
+
+    @cached_property
+    def surface(self) -> SearchedMesh:
+        """The part as a mesh."""
+        return as_mesh(self.vertices, self.triangles)
+
+    @cached_property
+    def distinct(self) -> Bool[np.ndarray, " N"]:
+        """True for the first of equal triangles."""
+        return distinct_triangles(self.triangles)
 
     @cached_property
     def neighbours(self) -> tuple[np.ndarray, np.ndarray]:
@@ -108,6 +123,13 @@ class SourcePart:
     def handle_normal(self) -> Float[np.ndarray, "M M"]:
         """The handles' normal matrix (4N, 4N), all of one weight: it is the same for every draw."""
         return (self.handle_rows.T @ self.handle_rows).toarray()
+
+    def prepare(self) -> None:
+        """Make now what is otherwise made when the part is first bent."""
+        for name, value in vars(type(self)).items():
+            if isinstance(value, cached_property):
+                getattr(self, name)
+        _ = self.surface.boxes
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +180,11 @@ class Sources:
             while len(self._cache) > self.keep:
                 self._cache.popitem(last=False)
         return parts
+
+    def is_read(self, index: int) -> bool:
+        """Whether the parts of training shape ``index`` are in memory."""
+        with self._lock:
+            return index in self._cache
 
     def part_of(self, index: int, part: int) -> SourcePart | None:
         """One part of training shape ``index``; None if its mesh has no usable face of it."""

@@ -8,7 +8,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from shapeforge.collection.shape import Mesh
+from shapeforge.collection.surface import SearchedMesh
 
 Vertices = Float[np.ndarray, "V 3"]
 Triangles = Int[np.ndarray, "N 3"]
@@ -41,14 +41,21 @@ def drop_bad(vertices: Vertices, triangles: Triangles, area: float = 1e-12) -> t
 
 def good_triangles(vertices: Vertices, triangles: Triangles, area: float = 1e-12) -> Bool[np.ndarray, " N"]:
     """True for the first of equal triangles, if its area exceeds ``area``."""
-    if len(triangles) == 0:
-        return np.zeros(0, bool)
+    return sized_triangles(vertices, triangles, area) & distinct_triangles(triangles)
+
+
+def sized_triangles(vertices: Vertices, triangles: Triangles, area: float = 1e-12) -> Bool[np.ndarray, " N"]:
+    """True for triangles whose area exceeds ``area``."""
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    sized = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 2 * area
-    _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
+    return (np.cross(b - a, c - a) ** 2).sum(axis=1) > (2 * area) ** 2
+
+
+def distinct_triangles(triangles: Triangles) -> Bool[np.ndarray, " N"]:
+    """True for the first of equal triangles, whatever corner they start from."""
     unique = np.zeros(len(triangles), bool)
-    unique[first] = True
-    return sized & unique
+    if len(triangles):
+        unique[np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)[1]] = True
+    return unique
 
 
 def subdivide_long_edges(
@@ -116,9 +123,9 @@ def split_sides(vertices: np.ndarray, triangles: np.ndarray, middle: np.ndarray)
     return np.concatenate(pieces), np.concatenate(origin)
 
 
-def as_mesh(vertices: Vertices, triangles: Triangles) -> Mesh:
+def as_mesh(vertices: Vertices, triangles: Triangles) -> SearchedMesh:
     """A mesh whose face records are its triangles."""
-    return Mesh(vertices, triangles, np.arange(len(triangles)), len(triangles))
+    return SearchedMesh(vertices, triangles, np.arange(len(triangles)), len(triangles))
 
 
 def vertex_components(n_vertices: int, triangles: Triangles) -> Int[np.ndarray, " V"]:

@@ -89,7 +89,10 @@ class Caption:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One cell of the window: its layers, marks and words.  ``confidence`` (0..1) draws the bar at the bottom right."""
+    """One cell of the window: its layers, marks and words.  ``confidence`` (0..1) draws the bar at the bottom right.
+
+    While it ``moves`` the shadow on the floor stays as it was.
+    """
 
     layers: tuple[MeshLayer | PointLayer | LineLayer, ...] = ()
     marks: tuple[Mark, ...] = ()
@@ -97,6 +100,7 @@ class View:
     confidence: float | None = None
     selected: bool = False
     ground: bool = True
+    moves: bool = False
     name: str = ""
 
     def meshes(self) -> tuple[MeshLayer, ...]:

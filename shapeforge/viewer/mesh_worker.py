@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,27 @@ from threadpoolctl import threadpool_limits
 
 from shapeforge.synthesis.assemble import SynthesizedShape
 from shapeforge.synthesis.assemble import synthesize as synthesize_mesh
+from shapeforge.viewer.resemblance import resemblance
 from shapeforge.viewer.session import Session
+
+AHEAD, REST = 16, 1.0
+"""So many shapes, the nearest to the newest wish, are read before they are wanted, after so many seconds of rest."""
+COARSE = 0.014
+"""Step (diagonals) of the lattice of previews from scratch: an eighth of the work or less."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wish:
+    """A mesh that is wanted: its ``number``, the draw, whether a ``preview`` will do, parts that are to be ``taken``
+    from a shape of the user's choice ({part: name}), and how it is made (see ``sculptor.Recipe``)."""
+
+    number: int
+    points: Float[np.ndarray, "K 3"]
+    exists: Bool[np.ndarray, " L"]
+    preview: bool
+    taken: Mapping[int, str] = field(default_factory=dict)
+    route: str = "parts"
+    union: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,41 +60,41 @@ class MeshWorker:
     ) -> None:
         self._session, self._nearest, self._arrived = session, nearest, arrived
         self._wake = threading.Condition()
-        self._wish: tuple[int, np.ndarray, np.ndarray, bool] | None = None
+        self._wish: Wish | None = None
         self._result: Made | Exception | None = None
         self._closed = False
         self._sources: tuple[Any, Any] = (None, None)
+        self._makers: dict[tuple[str, bool], Callable[..., SynthesizedShape]] = {}
         self._retrieved: tuple[Any, np.ndarray | None] = (None, None)
         self._current: tuple[int, bool] | None = None
-        self._besides: list[tuple[int, np.ndarray, np.ndarray]] = []
+        self._besides: list[Wish] = []
+        self._ahead: list[int] = []
         self._made_besides: dict[int, Made] = {}
         self._asked_besides = 0
-        self.taken: Mapping[int, str] = {}
-        """Parts that the user wants from a shape of his choice: {part: name}."""
         self.busy = False
         self._thread = threading.Thread(target=self._run, name="meshes", daemon=True)
         self._thread.start()
 
-    def ask(self, wish: int, points: Float[np.ndarray, "K 3"], exists: Bool[np.ndarray, " L"], preview: bool) -> None:
+    def ask(self, wish: Wish) -> None:
         """Make this next; a wish not yet begun is replaced, one under way is not made twice."""
         with self._wake:
-            if self._current == (wish, preview):
+            if self._current == (wish.number, wish.preview):
                 self._wish = None
                 return
-            self._wish = (wish, points, exists, preview)
+            self._wish = wish
             self.busy = True
             self._wake.notify()
 
-    def ask_besides(self, wanted: Sequence[tuple[Float[np.ndarray, "K 3"], Bool[np.ndarray, " L"]]]) -> None:
-        """Make previews of these (points, parts) while there is nothing better to do; instead of those asked before."""
+    def ask_besides(self, wanted: Sequence[Wish]) -> None:
+        """Make these while there is nothing better to do; instead of those asked before."""
         with self._wake:
-            self._besides = [(i, points, exists) for i, (points, exists) in enumerate(wanted)]
+            self._besides = list(wanted)
             self._made_besides = {}
             self._asked_besides += 1
             self._wake.notify()
 
     def made_besides(self) -> dict[int, Made]:
-        """Those made so far, by their place in what was asked."""
+        """Those made so far, by the number of their wish."""
         with self._wake:
             return dict(self._made_besides)
 
@@ -95,17 +116,22 @@ class MeshWorker:
             with self._wake:
                 while self._wish is None and not self._besides and not self._closed:
                     self.busy = False
-                    self._wake.wait()
+                    if not self._wake.wait(REST if self._ahead else None):
+                        break
                 if self._closed:
                     return
                 wish, self._wish = self._wish, None
-                self._current = None if wish is None else (wish[0], wish[3])
-                beside, asked = (self._besides.pop(0) if wish is None else None), self._asked_besides
+                self._current = None if wish is None else (wish.number, wish.preview)
+                now = wish is None and bool(self._besides)
+                beside, asked = (self._besides.pop(0) if now else None), self._asked_besides
             if beside is not None:
-                self._make_beside(asked, *beside)
+                self._make_beside(asked, beside)
+                continue
+            if wish is None:
+                self._read_ahead()
                 continue
             try:
-                result: Made | Exception = self._make(*wish)
+                result: Made | Exception = self._make(wish)
             except Exception as error:  # whatever it is, the window has to say it and go on
                 result = error
             with self._wake:
@@ -115,17 +141,24 @@ class MeshWorker:
             if not closed:
                 self._arrived()
 
-    def _make_beside(self, asked: int, number: int, points: np.ndarray, exists: np.ndarray) -> None:
-        """One of the previews besides.  One that fails stays a cloud of points: nobody waits for it."""
+    def _read_ahead(self) -> None:
+        """Read and prepare the parts of one more shape that may be wanted next; one that cannot be read is left out."""
+        index = self._ahead.pop(0)
+        with contextlib.suppress(Exception):  # who wants it will hear of it
+            sources = self._sources_now()
+            for part in sources.parts_of(index).values():
+                part.prepare()
+
+    def _make_beside(self, asked: int, wish: Wish) -> None:
+        """One of those besides.  One that fails stays a cloud of points: nobody waits for it."""
         try:
-            shape = synthesize_mesh(points, exists, self._sources_now(), preview=True)
+            made = self._made(wish, None)
         except Exception:
             return
-        made = Made(-1, shape, True, *self._nearest(points))
         with self._wake:
             wanted = asked == self._asked_besides and not self._closed
             if wanted:
-                self._made_besides[number] = made
+                self._made_besides[wish.number] = made
         if wanted:
             self._arrived()
 
@@ -134,19 +167,46 @@ class MeshWorker:
 
         project = self._session.project
         if self._sources[0] != (str(project.path), project.fit_id):
-            self._sources = ((str(project.path), project.fit_id), sources_of(project))
+            self._sources, self._makers = ((str(project.path), project.fit_id), sources_of(project)), {}
         return self._sources[1]
 
-    def _make(self, wish: int, points: np.ndarray, exists: Bool[np.ndarray, " L"], preview: bool) -> Made:
+    def _maker(self, route: str, union: bool) -> Callable[..., SynthesizedShape]:
+        from shapeforge.stages_synthesis import mesh_maker
+
+        sources = self._sources_now()
+        if (
+            route,
+            union,
+        ) not in self._makers:  # a route from scratch learns normals and thickness when it is first used
+            self._makers[route, union] = mesh_maker(sources, route, union=union)
+        return self._makers[route, union]
+
+    def _make(self, wish: Wish) -> Made:
         from shapeforge.synthesis.retrieve import retrieve
 
-        sources, taken = self._sources_now(), dict(self.taken)
+        if wish.route != "parts":
+            return self._made(wish, None)
+        sources = self._sources_now()
         # While a slider moves the parts keep their origin, else they flicker from one training shape to another.
-        key = exists.tobytes(), tuple(sorted(taken.items()))
-        if not preview or self._retrieved[0] != key:
-            fixed = {part: sources.names.index(name) for part, name in taken.items() if name in sources.names}
-            self._retrieved = (key, retrieve(points, exists, sources, fixed=fixed).shape)
+        key = wish.exists.tobytes(), tuple(sorted(wish.taken.items()))
+        if not wish.preview or self._retrieved[0] != key:
+            fixed = {part: sources.names.index(name) for part, name in wish.taken.items() if name in sources.names}
+            self._retrieved = (key, retrieve(wish.points, wish.exists, sources, fixed=fixed).shape)
+        return self._made(wish, self._retrieved[1])
+
+    def _made(self, wish: Wish, shapes: np.ndarray | None) -> Made:
+        """The mesh of a wish; its parts from the training ``shapes`` (None: retrieved)."""
         with threadpool_limits(1, "blas"):  # a recipe makes it again to the byte, on any number of processors
-            shape = synthesize_mesh(points, exists, sources, preview=preview, shapes=self._retrieved[1])
-        nearest, distance = self._nearest(points)
-        return Made(wish, shape, preview, nearest, distance)
+            if wish.route == "surface":
+                make = self._maker("surface", False)
+                shape = make(wish.points, wish.exists, **({"cell": COARSE} if wish.preview else {}))
+            elif wish.preview:
+                shape = synthesize_mesh(wish.points, wish.exists, self._sources_now(), preview=True, shapes=shapes)
+            else:
+                shape = self._maker("parts", wish.union)(wish.points, wish.exists, shapes=shapes)
+        if wish.route == "parts" and not wish.preview:
+            sources = self._sources_now()
+            order = np.argsort(-resemblance(sources.positions, wish.points), kind="stable")[:AHEAD]
+            self._ahead = [int(t) for t in order if not sources.is_read(int(t))]
+        nearest, distance = self._nearest(wish.points)
+        return Made(wish.number, shape, wish.preview, nearest, distance)

@@ -25,7 +25,8 @@ from shapeforge.viewer.fit_record import FitRecord
 from shapeforge.viewer.notebook_desk import NotebookDesk, action_button, show_verdict
 from shapeforge.viewer.palette import as_hex, group_colours, rgb, tokens
 from shapeforge.viewer.pictures import contact_sheet, shape_picture, take_picture
-from shapeforge.viewer.sculptor import Recipe, Sculptor, measure_words
+from shapeforge.viewer.sculptor import Recipe, Sculptor
+from shapeforge.viewer.sculpture import measure_words
 from shapeforge.viewer.session import Session
 
 MOST_PICTURES = 60

@@ -30,6 +30,9 @@ OVERSAMPLING = 2
 LOOK_VERSION = 1  # part of every cache key: raise it when pictures should look different
 SHADOW: dict[str, float] = {"dark": 0.85, "light": 0.32}
 
+Place3 = tuple[float, float, float]
+Camera = tuple[Place3, float] | tuple[Place3, float, Place3]
+
 
 class _Studio:
     """The hidden window, made when the first picture is asked for."""
@@ -54,7 +57,7 @@ class _Studio:
 
     def take(
         self, view: View, width: int, height: int, theme: Theme, ground: tuple[int, int, int] | None,
-        camera: tuple[tuple[float, float, float], float] | None, shadow: float | None,
+        camera: Camera | None, shadow: float | None,
     ) -> np.ndarray:  # fmt: skip
         from shapeforge.viewer.look import VIEW_DIRECTION, frame_of, place_camera
 
@@ -115,12 +118,12 @@ def close_studio() -> None:
 
 def take_picture(
     view: View, size: int | tuple[int, int], theme: Theme = "dark", *, transparent: bool = False,
-    ground: tuple[int, int, int] | None = None, camera: tuple[tuple[float, float, float], float] | None = None,
-    shadow: float | None = None,
+    ground: tuple[int, int, int] | None = None, camera: Camera | None = None, shadow: float | None = None,
 ) -> UInt8[np.ndarray, "h w c"]:  # fmt: skip
     """Picture of a View: (h, w, 3) on ``ground`` (the theme's view colour), or (h, w, 4) when ``transparent``.
 
-    ``size`` is a side or (width, height) in pixels; ``camera`` = (focus, half height in diagonals), else it fits.
+    ``size`` is a side or (width, height) in pixels; ``camera`` = (focus, half height in diagonals) and, if not the
+    house's, the direction to look from; without one the picture fits.
     """
     width, height = (size, size) if isinstance(size, int) else size
     if width < 1 or height < 1:

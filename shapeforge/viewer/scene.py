@@ -287,6 +287,8 @@ class Scene:
         source = (meshes[0].vertices, meshes[0].triangles) if view.ground and meshes else (None, None)
         if source[0] is cell.floor_of[0] and source[1] is cell.floor_of[1]:
             return False
+        if view.moves and cell.floor is not None and source[0] is not None:
+            return False
         if cell.floor is not None:
             cell.renderer.RemoveActor(cell.floor)
             cell.floor = None

@@ -5,40 +5,39 @@ No Qt here.  Points come at once (milliseconds), meshes from a worker that alway
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
-from scipy.spatial import cKDTree
+from jaxtyping import Bool, Float, UInt8
 
 from shapeforge.generative.draw import draw
-from shapeforge.generative.evidence import between
+from shapeforge.generative.evidence import between, draw_given
 from shapeforge.generative.inference import Latents, infer, logit, sigmoid
-from shapeforge.generative.units import Direction, bundles, drive, drive_latents
-from shapeforge.stages_recipes import recipe_of, write_recipe
+from shapeforge.generative.scales import Scales
+from shapeforge.generative.units import Direction, bundles, drive, drive_latents, single_units
 from shapeforge.synthesis.assemble import SynthesizedShape
 from shapeforge.synthesis.complete import completed_parts
 from shapeforge.synthesis.sources import touching_shares
-from shapeforge.viewer.display import Caption, Display, Mark, MeshLayer, PointLayer, View
-from shapeforge.viewer.mesh_worker import Made
-from shapeforge.viewer.palette import heat, label_colours
+from shapeforge.viewer.display import MeshLayer, PointLayer
+from shapeforge.viewer.palette import label_colours
 from shapeforge.viewer.readiness import group_of
+from shapeforge.viewer.resemblance import nearest_shape, resemblance
 from shapeforge.viewer.session import Session
 from shapeforge.viewer.slider_names import changes, choose_names, what_moves
 
 PERCENTILES = 3.29
 """Standard deviations between the 5th and the 95th percentile of a normal distribution."""
-FINER = 8
-PULL_STEP, PULL_COST, FARTHEST = 0.25, 0.01, 3.0  # standard deviations, diagonals, standard deviations
+FINER, UNITS = 8, 8
+"""How many bundles and single units there are sliders for, below the project's directions."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
     """How a shape was made: the base, slider values (standard deviations) and which parts, and from which shapes
-    the user wants some of them (``taken``); enough to make it again."""
+    the user wants some of them (``taken``); how its mesh is made: the ``route`` (a key of ``ROUTES``), and whether its
+    parts are united into one solid (``union``).  Enough to make it again."""
 
     label: str
     base: Latents
@@ -46,6 +45,8 @@ class Recipe:
     parts_on: Mapping[int, bool] = field(default_factory=dict)
     origin: str = ""
     taken: Mapping[int, str] = field(default_factory=dict)
+    route: str = "parts"
+    union: bool = False
 
 
 class Sculptor:
@@ -60,7 +61,7 @@ class Sculptor:
         self._key: Any = None
         self.recipes: list[Recipe] = []
         self.done = -1
-        self._draws = 0
+        self.draws = 0
         self.directions: list[Direction] = []
         self.names: list[str] = []
 
@@ -78,8 +79,11 @@ class Sculptor:
             return True
         self.mixture, self.observations = project.mixture(), project.observations()
         self.coarse = len(project.directions())
-        self.directions = [*project.directions(), *bundles(self.machine, self.observations, FINER)]
+        finer = bundles(self.machine, self.observations, FINER), single_units(self.machine, self.observations, UNITS)
+        self.directions = [*project.directions(), *finer[0], *finer[1]]
         self.latents = infer(self.machine, self.observations.values, self.observations.exists)
+        self.scales = Scales(self.machine, self.latents, self.directions)
+        self._home: tuple[Any, np.ndarray] = (None, np.zeros(0))
         self.part, self.part_names = self.observations.part, tuple(self.observations.part_names)
         self.shape_names = tuple(project.fit_names)
         self.positions = self.observations.positions()
@@ -101,12 +105,36 @@ class Sculptor:
         hidden = [sigmoid(logit(layer[members]).mean(axis=0, keepdims=True)) for layer in self.latents.layers]
         return Latents(tuple(hidden), patterns[counts.argmax()][None])
 
-    def random_base(self) -> Latents:
-        """A draw from the learnt distribution; the n-th draw of a project is always the same."""
-        self._draws += 1
-        found = draw(self.machine, self.mixture, 1, rng=np.random.default_rng([7, self._draws])).latents
-        having = self.latents.exists.mean(axis=0)
-        return replace(found, exists=completed_parts(found.exists[0], self.touching, having)[None])
+    def random_base(self, locked: frozenset[int] = frozenset()) -> Latents:
+        """A draw from the learnt distribution; the n-th draw of a project is always the same for the same wishes.
+
+        The parts that ``session.parts_on`` asks for are there or not, as they are asked for; units whose sliders are
+        ``locked`` stay where they are; ``session.temperature`` says how unusual, ``session.near`` whether to stay near
+        the shape in hand.
+        """
+        session, self.draws = self.session, self.draws + 1
+        rng = np.random.default_rng([7, self.draws])
+        needed = np.array(sorted(part for part, on in session.parts_on.items() if on), np.int64)
+        unwanted = np.array(sorted(part for part, on in session.parts_on.items() if not on), np.int64)
+        values, present = self.values(), self.exists()
+        levels = (self.scales.level(i, float(values[i]) * self.unit(i), present) for i in sorted(locked))
+        clamped = dict(level for level in levels if level is not None)
+        if len(needed) or len(unwanted) or clamped or session.near:
+            found = draw_given(
+                self.machine, self.mixture, 1, rng=rng, clamped=clamped, needed=needed, unwanted=unwanted,
+                start=self.latents_in_hand() if session.near else None, temperature=session.temperature,
+            ).latents  # fmt: skip
+        else:
+            found = draw(self.machine, self.mixture, 1, rng=rng, temperature=session.temperature).latents
+        having = np.where(np.isin(np.arange(len(self.part_names)), unwanted), 0.0, self.latents.exists.mean(axis=0))
+        exists = completed_parts(found.exists[0], self.touching, having)
+        exists[needed], exists[unwanted] = True, False
+        return replace(found, exists=exists[None])
+
+    def latents_in_hand(self) -> Latents:
+        """The latents of the shape in hand, sliders and switched parts included."""
+        settings = {i: value * self.unit(i) for i, value in self.session.sliders.items() if value}
+        return drive_latents(self.machine, self.recipe.base, settings, self.exists(), directions=self.directions)[1]
 
     def base_of(self, name: str) -> Latents:
         """The latents of a shape of the family."""
@@ -140,6 +168,13 @@ class Sculptor:
         taken = {l: n for l, n in self.recipe.taken.items() if l != part} | ({part: name} if name else {})
         self.keep(f"{self.part_names[part]} of {name or 'the nearest'}")
         self.recipes[self.done] = replace(self.recipe, taken=taken)
+
+    def make_by(self, route: str, union: bool) -> None:
+        """Make the mesh of the shape in hand in another way (see :class:`Recipe`), as a new item."""
+        if (route, union) == (self.recipe.route, self.recipe.union):
+            return
+        self.keep("a new surface" if route == "surface" else "one solid" if union else "of parts")
+        self.recipes[self.done] = replace(self.recipe, route=route, union=union)
 
     def go_to(self, index: int) -> None:
         """Back (or forth) to an item of the history."""
@@ -175,6 +210,26 @@ class Sculptor:
         direction = self.directions[index]
         return max((direction.high - direction.low) / PERCENTILES, 1e-9)
 
+    def home(self, base: Latents | None = None) -> Float[np.ndarray, " D"]:
+        """Where a base (that of the shape in hand) stands on every slider by itself (D,), in standard deviations."""
+        base = self.recipe.base if base is None else base
+        if self._home[0] is not base:
+            units = np.array([self.unit(index) for index in range(len(self.directions))])
+            self._home = (base, self.scales.values(base) / units)
+        return self._home[1]
+
+    def values(self) -> Float[np.ndarray, " D"]:
+        """Where the shape in hand stands on every slider (D,): what its base has, and the sliders' settings."""
+        found = self.home().copy()
+        for index, setting in self.session.sliders.items():
+            found[index] += setting
+        return found
+
+    def kept(self, locked: frozenset[int], base: Latents) -> dict[int, float]:
+        """Settings of the ``locked`` sliders with which a shape from another ``base`` stands where this one does."""
+        values, there = self.values(), self.home(base)
+        return {i: float(values[i] - there[i]) for i in sorted(locked)}
+
     def exists(self, recipe: Recipe | None = None) -> Bool[np.ndarray, " L"]:
         """Which parts the shape in hand (or of a recipe) has (L,)."""
         base = self.recipe.base if recipe is None else recipe.base
@@ -202,13 +257,8 @@ class Sculptor:
 
     def nearest(self, points: Float[np.ndarray, "K 3"]) -> tuple[str, float]:
         """The shape of the family nearest to these points and the mean distance (diagonals) over the points of both."""
-        away = np.linalg.norm(self.positions - points, axis=2)
-        both = np.isfinite(away)
-        share = both.sum(axis=1) / max(int(np.isfinite(points).all(axis=1).sum()), 1)
-        mean = np.where(both, away, 0).sum(axis=1) / np.maximum(both.sum(axis=1), 1)
-        mean = np.where(share > 0.5, mean, np.inf)
-        best = int(mean.argmin())
-        return self.shape_names[best], float(mean[best])
+        index, distance = nearest_shape(self.positions, points)
+        return self.shape_names[index], distance
 
     def other_end(self, name: str) -> str:
         """A shape to go to from ``name``: the one least like it in its group with the same parts, else among all.
@@ -230,9 +280,7 @@ class Sculptor:
         self, embedding: Float[np.ndarray, "T 2"], points: Float[np.ndarray, "K 3"]
     ) -> tuple[float, float]:
         """Where the shape in hand lies on a map of the family: among the shapes it resembles most."""
-        away = np.nan_to_num(np.linalg.norm(self.positions - points, axis=2), nan=0.15).mean(axis=1)
-        weight = np.exp(-((away - away.min()) / max(0.25 * float(away.min()), 0.004)))
-        x, y = (weight[:, None] * embedding).sum(axis=0) / weight.sum()
+        x, y = resemblance(self.positions, points) @ embedding
         return float(x), float(y)
 
     # ---- words ---------------------------------------------------------------------------------------------------
@@ -274,47 +322,6 @@ class Sculptor:
             self._moves[key] = np.linalg.norm(high - low, axis=1)
         return self._moves[key]
 
-    # ---- pulling at the shape ------------------------------------------------------------------------------------
-
-    def handles(self, points: Float[np.ndarray, "K 3"], count: int = 9) -> Int[np.ndarray, " h"]:
-        """Points to pull at: far apart from each other, the outermost first."""
-        there = np.flatnonzero(np.isfinite(points).all(axis=1))
-        if not len(there):
-            return there
-        own = points[there]
-        chosen = [int(np.linalg.norm(own - own.mean(axis=0), axis=1).argmax())]
-        away = np.linalg.norm(own - own[chosen[0]], axis=1)
-        while len(chosen) < min(count, len(there)):
-            chosen.append(int(away.argmax()))
-            away = np.minimum(away, np.linalg.norm(own - own[chosen[-1]], axis=1))
-        return there[chosen]
-
-    def pull(
-        self, point: int, locked: frozenset[int] = frozenset()
-    ) -> Callable[[Float[np.ndarray, " 3"]], dict[int, float]]:
-        """Take hold of template point ``point``: the result maps a wanted displacement (diagonals) to slider values.
-
-        The most likely change that moves the point there: least squares with one standard deviation of any slider
-        costing as much as PULL_COST diagonals of miss, about the present state.
-        """
-        start = dict(self.session.sliders)
-        free = [i for i in range(self.coarse) if i not in locked]
-        before = self.points()[point]
-        jacobian = np.zeros((3, len(free)))
-        for column, index in enumerate(free):
-            settings = {i: v * self.unit(i) for i, v in start.items()}
-            settings[index] = settings.get(index, 0.0) + PULL_STEP * self.unit(index)
-            moved = drive(self.machine, self.recipe.base, settings, self.exists(), directions=self.directions)[point]
-            jacobian[:, column] = (moved - before) / PULL_STEP
-        matrix = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + PULL_COST**2 * np.eye(3))
-
-        def wanted(displacement: np.ndarray) -> dict[int, float]:
-            step = matrix @ displacement
-            values = {i: start.get(i, 0.0) + float(d) for i, d in zip(free, step, strict=True)}
-            return {**start, **{i: float(np.clip(v, -FARTHEST, FARTHEST)) for i, v in values.items()}}
-
-        return wanted
-
     # ---- what is shown -------------------------------------------------------------------------------------------
 
     @property
@@ -328,74 +335,8 @@ class Sculptor:
         colours = label_colours(np.asarray(self.part, np.int64), self.inks)
         return PointLayer("points", points[there], colours[there], size)
 
-    def heated(
-        self, layer: MeshLayer | PointLayer, points: Float[np.ndarray, "K 3"], index: int
-    ) -> MeshLayer | PointLayer:
-        """The layer, each place as hot as a slider moves the nearest of the shape's ``points``."""
-        there = np.isfinite(points).all(axis=1)
-        moves = self.moves(index)[there]
-        share = moves / max(float(np.quantile(moves, 0.98)) if len(moves) else 0.0, 1e-9)
-        if isinstance(layer, PointLayer):
-            return replace(layer, colours=heat(share))
-        nearest = cKDTree(points[there]).query(layer.vertices[layer.triangles].mean(axis=1))[1]
-        return replace(layer, colours=heat(share[nearest]))
-
     def mesh_layer(self, shape: SynthesizedShape) -> MeshLayer:
-        """A made mesh in its parts' colours."""
-        return MeshLayer(
-            "mesh", np.asarray(shape.vertices, float), shape.triangles,
-            label_colours(np.asarray(shape.part, np.int64), self.inks),
-        )  # fmt: skip
-
-    def display(
-        self, layers: tuple[MeshLayer | PointLayer, ...], made: Made | None, label: str, busy: bool,
-        marks: tuple[Mark, ...] = (),
-    ) -> Display:  # fmt: skip
-        """The shape with what is known about it in the corners."""
-        captions = [Caption("top left", ((label, "strong"), *self._size_words(made)))]
-        if made is not None:
-            used = sorted({name for name in made.shape.sources if name})
-            few = ", ".join(used[:3]) + (f" and {len(used) - 3} more" if len(used) > 3 else "")
-            nearest = f"nearest real shape: {made.nearest}, {100 * made.nearest_distance:.1f}% of size"
-            captions.append(Caption("top right", ((f"parts from {few}", "plain"), (nearest, "plain"))))
-            captions.append(Caption("bottom right", ((measure_words(made.shape.measures), "plain"),)))
-        if busy:
-            captions.append(Caption("bottom left", (("making the mesh…", "faint"),)))
-        else:
-            captions.append(Caption("bottom left", (("Drag a handle on the shape, the rest follows", "faint"),)))
-        return Display((View(layers, marks, tuple(captions)),))
-
-    @staticmethod
-    def _size_words(made: Made | None) -> tuple[tuple[str, str], ...]:
-        if made is None:
-            return ()
-        kind = "preview, " if made.preview else ""
-        return ((f"{kind}{len(made.shape.triangles):,} faces".replace(",", "\u202f"), "plain"),)
-
-
-def measure_words(measures: Mapping[str, Any]) -> str:
-    """What was measured on a made mesh, in one line."""
-    words = [f"gaps {100 * measures.get('largest_gap', 0.0):.1f}%"]
-    if measures.get("symmetry_error") is not None:
-        words.append(f"symmetry {100 * measures['symmetry_error']:.1f}% of size")
-    folded = int(measures.get("folded_triangles", 0))
-    words.append(f"{folded} folded triangle{'s' * (folded != 1)}")
-    return " · ".join(words)
-
-
-def export_mesh(path: Path, sculptor: Sculptor, shape: SynthesizedShape, recipe: Recipe) -> Path:
-    """Write a made mesh (glb, ply, obj or stl by the ending) and, beside it, the recipe to remake it; its path."""
-    from shapeforge.collection.meshes import write_mesh
-
-    order = np.argsort(shape.part, kind="stable")
-    write_mesh(
-        path, shape.vertices, np.asarray(shape.triangles)[order], np.asarray(shape.part)[order], shape.part_names,
-        sculptor.session.project.part_inks(shape.part_names),
-    )  # fmt: skip
-    settings = {i: value * sculptor.unit(i) for i, value in recipe.sliders.items() if value}
-    _, latents = drive_latents(
-        sculptor.machine, recipe.base, settings, sculptor.exists(recipe), directions=sculptor.directions
-    )
-    words = {"label": recipe.label, "origin": recipe.origin}
-    sliders = {sculptor.names[i]: value for i, value in recipe.sliders.items()}
-    return write_recipe(path, recipe_of(sculptor.session.project, latents, shape, **words, sliders=sliders))
+        """A made mesh in its parts' colours, or (``session.mesh_colours``) in those of its sources, if any has some."""
+        own = shape.colours if self.session.mesh_colours == "sources" else None
+        colours = label_colours(np.asarray(shape.part, np.int64), self.inks) if own is None else own
+        return MeshLayer("mesh", np.asarray(shape.vertices, float), shape.triangles, colours)

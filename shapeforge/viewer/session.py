@@ -84,6 +84,8 @@ class Session:
     ``quality`` how well the next fit is done (a key of ``readiness.QUALITIES``; "": as the one before), ``round`` the
     recorded round looked at (None: the newest), ``compare`` the shapes compared, ``picked`` a template point (index),
     ``sliders`` direction index -> value (standard deviations), ``parts_on`` part index -> existence asked of a draw,
+    ``mesh_colours`` whose colours new meshes have ("parts", or "sources": of the materials of the shapes),
+    ``temperature`` how unusual draws are (1: as the family), ``near`` whether they stay near the shape in hand,
     ``arrangement`` how the collection is seen ("map", "grid" or "large"), ``turn`` the rotation (rows) by which the
     selected shapes are being turned, None while none is.  Assign new tuples and dicts; changing a dict in place tells
     nobody.
@@ -118,6 +120,9 @@ class Session:
     quality: str = ""
     sliders: dict[int, float] = field(default_factory=dict)
     parts_on: dict[int, bool] = field(default_factory=dict)
+    mesh_colours: str = "parts"
+    temperature: float = 1.0
+    near: bool = False
     linked: bool = True
     status: str = ""
     status_kind: str = "info"
@@ -146,7 +151,7 @@ class Session:
         """Look at another project (None: none): selections of the old one are dropped first."""
         self.shape, self.group, self.selected, self.watched, self.compare = None, 0, (), (), ()
         self.round, self.picked, self.sliders, self.parts_on = None, None, {}, {}
-        self.quality = ""
+        self.quality, self.near, self.temperature = "", False, 1.0
         self.progress, self.history, self.place = None, Edits(), "collection"
         self.turn = None
         self.revision += 1

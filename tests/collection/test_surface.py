@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from shapeforge.collection.shape import Mesh
-from shapeforge.collection.surface import closest_points
+from shapeforge.collection.surface import SearchedMesh, closest_points
 from tests.oracles import distance_to_triangle
 
 
@@ -50,3 +50,17 @@ def test_degenerate_triangles_do_no_harm():
 def test_absent_queries_are_refused():
     with pytest.raises(ValueError, match="finite"):
         closest_points(soup(0, 3), np.array([[np.nan, 0, 0]]))
+
+
+def test_a_searched_mesh_that_was_moved_answers_as_a_new_one():
+    """It takes over the order of the boxes, not their places: a mesh crumpled beyond recognition shows it."""
+    rng = np.random.default_rng(3)
+    vertices, triangles = rng.normal(size=(60, 3)), rng.integers(0, 60, (200, 3))
+    rest = SearchedMesh(vertices, triangles, np.arange(200), 200)
+    queries = rng.normal(size=(80, 3))
+    assert len(closest_points(rest, queries)[2]) == 80
+    for _ in range(2):
+        rest = rest.moved(rng.permutation(vertices) * [3.0, 0.2, -1.0])
+        anew = Mesh(rest.vertices, triangles, np.arange(200), 200)
+        for found, expected in zip(closest_points(rest, queries)[::2], closest_points(anew, queries)[::2], strict=True):
+            np.testing.assert_allclose(found, expected, atol=1e-12)

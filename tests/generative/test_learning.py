@@ -16,7 +16,8 @@ from shapeforge.generative.learning import learn_machine, reconstruction_error, 
 from shapeforge.generative.machine import PARAMETERS, layer_sizes
 from shapeforge.generative.observations import observe
 from shapeforge.generative.paper_form import to_paper
-from shapeforge.generative.units import bundles, directions, drive, middle_shape
+from shapeforge.generative.scales import Scales
+from shapeforge.generative.units import bundles, directions, drive, middle_shape, single_units
 from tests.generative.synthetic import PART_NAMES, chair_family
 
 
@@ -180,6 +181,42 @@ def test_a_bundle_is_seen_and_goes_one_way(family, learned):
     way = (ends[4] - ends[0])[there]
     along = [float(((end - ends[0])[there] * way).sum() / (way**2).sum()) for end in ends]
     assert along == sorted(along) and along[2] == pytest.approx(0.5, abs=0.3)
+
+
+def test_single_units_are_those_that_move_most_of_all(family, learned):
+    """The promise by which they are chosen is kept: no unit left out moves the family more than the last one shown."""
+    train, machine = family[0], learned.machine
+    found, every = single_units(machine, train, 6), single_units(machine, train, machine.sizes[0])
+    assert [d.unit for d in found] == [d.unit for d in single_units(machine, train, 6)]
+    assert len({d.unit for d in every}) == len(every) > 20
+    sizes = [d.size for d in every]
+    assert sizes == sorted(sizes, reverse=True)
+    kept = sum(d.unit in {one.unit for one in found} for d in every[:6])
+    assert kept >= 5 and found[0].unit == every[0].unit
+    for d in found:
+        assert d.kind == "unit" and np.flatnonzero(d.vector).tolist() == [d.unit] and d.low < 0 < d.high
+
+
+def test_a_slider_s_setting_is_added_to_where_a_shape_stands(family, learned):
+    """What a unit is held at is where its slider stands: read off, set and read again."""
+    train, machine = family[0], learned.machine
+    latents = infer(machine, train.values, train.exists)
+    sliders = [*bundles(machine, train, 2), *single_units(machine, train, 3)]
+    scales = Scales(machine, latents, sliders)
+    for row in (0, 7):
+        shape = latents[row]
+        values = scales.values(shape)
+        for index, slider in enumerate(sliders):
+            (layer, unit), level = scales.level(index, float(values[index]), shape.exists[0])
+            own = float(shape.layers[layer][0, unit])
+            assert (layer, unit) == (0 if slider.kind == "unit" else 1, slider.unit)
+            assert level == pytest.approx(np.clip(own, 0.0025, 0.9975), abs=1e-3)
+        both = []
+        for level in (-1.0, -0.3):
+            first = shape.layers[0].copy()
+            first[0, sliders[-1].unit] = 1 / (1 + np.exp(-level))
+            both.append(scales.values(replace(shape, layers=(first, *shape.layers[1:]))))
+        np.testing.assert_allclose(both[1] - both[0], [0, 0, 0, 0, 0.7], atol=1e-3)
 
 
 def test_the_middle_shape_lies_among_those_with_the_commonest_parts(family, learned):

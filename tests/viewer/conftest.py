@@ -13,6 +13,8 @@ from shapeforge import stages
 from shapeforge.collection.families import write_family
 from shapeforge.collection.labels import PartNames, find_part_names, read_seg
 from shapeforge.store import Project
+from shapeforge.viewer.sculptor import Sculptor
+from shapeforge.viewer.session import Session
 from tests.viewer.paint_hands import Painting, hands_of
 
 COUNT, POINTS, ROUNDS = 8, 300, 2
@@ -118,3 +120,48 @@ def open_window(qtbot) -> Iterator[Callable]:
     # what a test's windows leave dies with the test, on this thread, and not in the event loop of the next one
     QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)
     gc.collect()
+
+
+@pytest.fixture(scope="session")
+def _learnt(tmp_path_factory, meshes, _grouped):
+    """Fitted from six painted exemplars, which have all parts between them, and learnt briefly."""
+    folder = tmp_path_factory.mktemp("learnt") / "chairs"
+    shutil.copytree(_grouped, folder)
+    project = Project.open(folder)
+    run_stage(project, "group", exemplars=list(project.names[:6]))
+    paint_exemplars(project, meshes)
+    run_stage(project, "fit", rounds=1, inner=1)
+    run_stage(project, "learn", epochs=2)
+    return folder
+
+
+@pytest.fixture
+def learnt(_learnt, tmp_path):
+    shutil.copytree(_learnt, tmp_path / "chairs")
+    return Project.open(tmp_path / "chairs")
+
+
+@pytest.fixture
+def sculptor(learnt):
+    session = Session()
+    session.open(learnt)
+    made = Sculptor(session)
+    assert made.reload()
+    return made
+
+
+@pytest.fixture(scope="session")
+def sources(_learnt):
+    """The parts of the family, read once for all tests."""
+    from shapeforge.stages_synthesis import sources_of
+
+    return sources_of(Project.open(_learnt))
+
+
+@pytest.fixture
+def place(open_window, learnt, sources, qtbot, monkeypatch):
+    monkeypatch.setattr("shapeforge.stages_synthesis.sources_of", lambda project: sources)
+    window = open_window(learnt, "synthesize")
+    made = window.places["synthesize"]
+    qtbot.waitUntil(lambda: made.view.frames > 0, timeout=20000)
+    return made

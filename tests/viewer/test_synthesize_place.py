@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-import shutil
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -13,76 +13,17 @@ from PySide6.QtCore import QPoint, Qt
 
 from shapeforge.generative.units import drive
 from shapeforge.stages_recipes import read_recipe, remake
-from shapeforge.store import Project
 from shapeforge.viewer import movies
 from shapeforge.viewer.display import MeshLayer, PointLayer
-from shapeforge.viewer.mesh_worker import MeshWorker
+from shapeforge.viewer.mesh_worker import MeshWorker, Wish
 from shapeforge.viewer.palette import heat
-from shapeforge.viewer.sculptor import Recipe, Sculptor, export_mesh, measure_words
+from shapeforge.viewer.pulling import handles_of, pull
+from shapeforge.viewer.sculptor import Recipe, Sculptor
+from shapeforge.viewer.sculptor_files import export_mesh
+from shapeforge.viewer.sculpture import measure_words
 from shapeforge.viewer.session import Session
 from shapeforge.viewer.slider_names import changes, choose_names, what_moves
-from tests.viewer.conftest import paint_exemplars, run_stage
-
-LEFT, NONE = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
-LONG = 120_000
-
-
-@pytest.fixture(scope="session")
-def _learnt(tmp_path_factory, meshes, _grouped):
-    """Fitted from six painted exemplars, which have all parts between them, and learnt briefly."""
-    folder = tmp_path_factory.mktemp("learnt") / "chairs"
-    shutil.copytree(_grouped, folder)
-    project = Project.open(folder)
-    run_stage(project, "group", exemplars=list(project.names[:6]))
-    paint_exemplars(project, meshes)
-    run_stage(project, "fit", rounds=1, inner=1)
-    run_stage(project, "learn", epochs=2)
-    return folder
-
-
-@pytest.fixture
-def learnt(_learnt, tmp_path):
-    shutil.copytree(_learnt, tmp_path / "chairs")
-    return Project.open(tmp_path / "chairs")
-
-
-@pytest.fixture
-def sculptor(learnt):
-    session = Session()
-    session.open(learnt)
-    made = Sculptor(session)
-    assert made.reload()
-    return made
-
-
-@pytest.fixture(scope="session")
-def sources(_learnt):
-    """The parts of the family, read once for all tests."""
-    from shapeforge.stages_synthesis import sources_of
-
-    return sources_of(Project.open(_learnt))
-
-
-@pytest.fixture
-def place(open_window, learnt, sources, qtbot, monkeypatch):
-    monkeypatch.setattr("shapeforge.stages_synthesis.sources_of", lambda project: sources)
-    window = open_window(learnt, "synthesize")
-    made = window.places["synthesize"]
-    qtbot.waitUntil(lambda: made.view.frames > 0, timeout=20000)
-    return made
-
-
-def layer_kinds(place) -> list[type]:
-    return [type(layer) for layer in place.view.shown.views[0].layers]
-
-
-def wait_for_mesh(place, qtbot) -> None:
-    def there() -> bool:
-        assert place.session.status_kind != "error", place.session.status
-        return place.made is not None and not place.made.preview
-
-    qtbot.waitUntil(there, timeout=LONG)
-
+from tests.viewer.synthesize_hands import LEFT, LONG, NONE, layer_kinds, wait_for_mesh
 
 # ---- the model behind the place ---------------------------------------------------------------------------------
 
@@ -142,42 +83,61 @@ def test_the_nearest_shape_of_a_shape_is_itself(sculptor):
 
 def test_pulling_a_point_moves_it_towards_where_it_is_pulled(sculptor):
     points = sculptor.points()
-    handle = int(sculptor.handles(points)[0])
-    wanted = sculptor.pull(handle)
+    handle = int(handles_of(points)[0])
+    wanted = pull(sculptor, handle)
     moved = []
     for direction in np.vstack([np.eye(3), -np.eye(3)]):
         sculptor.session.sliders = wanted(0.01 * direction)
         moved.append(float((sculptor.points()[handle] - points[handle]) @ direction))
     assert max(moved) > 0.001 and np.mean(moved) > 0
     sculptor.session.sliders = {}
-    held = sculptor.pull(handle, frozenset({0}))(np.array([0.05, 0.0, 0.0]))
+    held = pull(sculptor, handle, frozenset({0}))(np.array([0.05, 0.0, 0.0]))
     assert 0 not in held, "a locked slider keeps its value"
 
 
 def test_the_worker_makes_the_newest_wish_only(sculptor, monkeypatch):
     begun, go, made = threading.Event(), threading.Event(), []
 
-    def slow(self, wish, points, exists, preview):
+    def slow(self, wish):
         begun.set()
         go.wait(10)
-        made.append(wish)
+        made.append(wish.number)
         return RuntimeError("as good as a mesh")
 
     monkeypatch.setattr(MeshWorker, "_make", slow)
     arrived = threading.Semaphore(0)
     worker = MeshWorker(sculptor.session, sculptor.nearest, arrived.release)
     points, exists = sculptor.points(), sculptor.exists()
-    worker.ask(1, points, exists, False)
+    wishes = {number: Wish(number, points, exists, False) for number in range(5)}
+    worker.ask(wishes[1])
     assert begun.wait(10)
-    for wish in (2, 3, 4):
-        worker.ask(wish, points, exists, False)
-    worker.ask(1, points, exists, False)  # is under way: nothing else is wanted any more
+    for number in (2, 3, 4):
+        worker.ask(wishes[number])
+    worker.ask(wishes[1])  # is under way: nothing else is wanted any more
     assert worker._wish is None
-    worker.ask(4, points, exists, False)
+    worker.ask(wishes[4])
     go.set()
     assert arrived.acquire(timeout=10) and arrived.acquire(timeout=10)
     assert made == [1, 4] and isinstance(worker.take(), RuntimeError) and worker.take() is None
     worker.close()
+
+
+def test_parts_that_may_be_wanted_next_are_read_while_nothing_is(sculptor, monkeypatch):
+    """One shape at a time, the nearest first, and a wish goes before them."""
+    monkeypatch.setattr("shapeforge.viewer.mesh_worker.REST", 0.05)
+    worker = MeshWorker(sculptor.session, sculptor.nearest, lambda: None)
+    try:
+        points = sculptor.points(Recipe("one", sculptor.base_of(sculptor.shape_names[3])))
+        worker.ask(Wish(1, points, sculptor.exists(), False))
+        wait = time.monotonic() + 60
+        while worker._sources[1] is None or worker._wish is not None or worker._ahead or worker._current is not None:
+            assert time.monotonic() < wait
+            time.sleep(0.02)
+        time.sleep(0.3)
+        assert all(worker._sources[1].is_read(t) for t in range(len(sculptor.shape_names)))
+        assert worker.take() is not None and not worker.busy
+    finally:
+        worker.close()
 
 
 def test_sliders_are_named_after_what_they_do():
@@ -229,19 +189,22 @@ def test_it_begins_with_the_mean_as_points_and_then_a_mesh(place, qtbot):
 def test_a_dragged_slider_moves_points_at_once_and_is_one_undo_item(place, qtbot):
     slider, table = place.inspector.rows[0].slider, place.actions
     y = slider.height() - 10
-    x0, x1 = round(slider.x_of(0.0)), round(slider.x_of(slider.inner[1]))
-    before = place._points.copy()
+    home = float(place.sculptor.home()[0])
+    x0, x1 = round(slider.x_of(home)), round(slider.x_of(slider.inner[1]))
+    before = place.points.copy()
     qtbot.mousePress(slider, LEFT, NONE, QPoint(x0, y))
     for i in range(1, 5):
         qtbot.mouseMove(slider, QPoint(x0 + (x1 - x0) * i // 4, y))
-    assert layer_kinds(place) == [PointLayer]
-    assert np.nanmax(np.abs(place._points - before)) > 0
+    assert layer_kinds(place)[-1] is PointLayer
+    now = place.points[np.isfinite(place.points).all(axis=1)]
+    assert np.array_equal(place.view.shown.views[0].layers[-1].positions, now)
+    assert np.nanmax(np.abs(place.points - before)) > 0
     value = place.session.sliders[0]
-    assert value == pytest.approx(slider.inner[1], rel=0.1)
+    assert home + value == pytest.approx(slider.inner[1], rel=0.1)
     qtbot.mouseRelease(slider, LEFT, NONE, QPoint(x1, y))
     assert len(place.sculptor.recipes) == 2 and place.sculptor.done == 1
     table.run("undo")
-    assert place.session.sliders.get(0, 0.0) == 0.0 and np.allclose(np.nan_to_num(place._points), np.nan_to_num(before))
+    assert place.session.sliders.get(0, 0.0) == 0.0 and np.allclose(np.nan_to_num(place.points), np.nan_to_num(before))
     table.run("redo")
     assert place.session.sliders[0] == pytest.approx(value)
 
@@ -249,10 +212,12 @@ def test_a_dragged_slider_moves_points_at_once_and_is_one_undo_item(place, qtbot
 def test_random_keeps_what_is_locked(place, qtbot):
     place.session.sliders = {1: 1.5, 2: -1.0}
     place.inspector.rows[1].lock.setChecked(True)
+    kept = place.sculptor.values()[1]
     assert place.actions.run("random_shape")
-    assert place.session.sliders == {1: 1.5} and place.sculptor.recipe.label == "random"
+    assert set(place.session.sliders) == {1} and place.sculptor.recipe.label == "random"
+    assert place.sculptor.values()[1] == pytest.approx(kept, abs=1e-6)
     place.actions.run("reset_sliders")
-    assert place.session.sliders == {1: 1.5}
+    assert place.sculptor.values()[1] == pytest.approx(kept, abs=1e-6)
 
 
 def test_from_a_shape_on_the_map(place, qtbot):
@@ -267,26 +232,25 @@ def test_from_a_shape_on_the_map(place, qtbot):
 
 def test_between_two_shapes_is_one_item_per_drag(place, qtbot):
     place.session.selected = place.sculptor.shape_names[:2]
-    assert place.actions.run("between") and place.between.isVisibleTo(place.centre)
-    assert place._between == place.sculptor.shape_names[:2]
+    assert place.actions.run("between") and place.between.bar.isVisibleTo(place.centre)
+    assert place.between.ends == place.sculptor.shape_names[:2]
     count = len(place.sculptor.recipes)
-    place.between.slider.setSliderDown(True)
+    place.between.bar.slider.setSliderDown(True)
     for value in (55, 60, 70, 80):
-        place.between.slider.setValue(value)
-    place.between.slider.setSliderDown(False)
+        place.between.bar.slider.setValue(value)
+    place.between.bar.slider.setSliderDown(False)
     assert len(place.sculptor.recipes) == count + 1 and place.sculptor.recipe.label == "A–B 80%"
-    expected = place.sculptor.between(*(place.sculptor.base_of(n) for n in place._between), 0.8)
+    expected = place.sculptor.between(*(place.sculptor.base_of(n) for n in place.between.ends), 0.8)
     assert np.allclose(place.sculptor.recipe.base.layers[1], expected.layers[1])
-    assert place.actions.run("between") and not place.between.isVisibleTo(place.centre)
+    assert place.actions.run("between") and not place.between.bar.isVisibleTo(place.centre)
     assert place.actions.run("between") and place.actions.run("mean_shape")
     place.actions.run("undo")
     place._go_to(0)
-    assert place._between is None and not place.between.isVisibleTo(place.centre)
+    assert place.between.ends is None and not place.between.bar.isVisibleTo(place.centre)
 
 
 def test_a_handle_pulled_in_the_view_moves_sliders(place, qtbot):
-    handle = int(place.handles.shown[0])
-    x, y = (round(v) for v in place.view.place_of(place._points[handle]))
+    x, y = (round(v) for v in place.view.place_of(place.handles.places[0]))
     target = place.view.plotter
     camera = np.array(place.view.scene.camera.GetPosition())
     qtbot.mousePress(target, LEFT, NONE, QPoint(x, y))
@@ -351,6 +315,9 @@ def test_a_mesh_that_cannot_be_made_is_said(place, qtbot, monkeypatch):
     place.session.sliders = {0: 0.5}
     qtbot.waitUntil(lambda: "no such part" in wait_or_any.status, timeout=LONG)
     assert wait_or_any.status_kind == "error"
+    assert place.view.shown.views[0].captions[0].lines[1][1] == "error"
+    assert place.actions.verdict("export_mesh") == (False, "The mesh could not be made: no such part")
+    assert "no such part" in place.inspector.export.toolTip()
 
 
 def test_a_shape_that_outgrows_the_view_is_seen_whole_again(place, qtbot):
@@ -370,7 +337,7 @@ def test_a_shape_that_outgrows_the_view_is_seen_whole_again(place, qtbot):
 
 
 def project_all(place) -> np.ndarray:
-    points = place._points[np.isfinite(place._points).all(axis=1)]
+    points = place.points[np.isfinite(place.points).all(axis=1)]
     return np.array([place.view.place_of(point) for point in points])
 
 
@@ -411,9 +378,9 @@ def test_pointing_at_a_slider_shows_what_it_moves_and_leaving_shows_the_parts(pl
     place.inspector.rows[0].entered.emit()
     hot = place.view.shown.views[0].layers[0]
     moves = place.sculptor.moves(0)
-    there = np.isfinite(place._points).all(axis=1)
+    there = np.isfinite(place.points).all(axis=1)
     centres = np.asarray(hot.vertices)[hot.triangles].mean(axis=1)
-    nearest = np.linalg.norm(centres[:, None] - place._points[there][None], axis=2).argmin(axis=1)
+    nearest = np.linalg.norm(centres[:, None] - place.points[there][None], axis=2).argmin(axis=1)
     own = moves[there][nearest]
     assert np.array_equal(np.unique(hot.colours[own <= own.min()], axis=0), heat(own[own <= own.min()] / np.quantile(
         moves[there], 0.98))[:1])  # fmt: skip
@@ -460,15 +427,18 @@ def test_a_draw_of_the_gallery_is_taken_with_a_click_and_can_be_undone(place, qt
     qtbot.mouseClick(gallery.cards[1], LEFT, NONE, QPoint(60, 60))
     assert place.view.isVisibleTo(place.centre) and not gallery.isVisibleTo(place.centre)
     assert np.array_equal(place.sculptor.recipe.base.top, wanted.base.top)
-    taken = place._points.copy()
+    taken = place.points.copy()
     place.actions.run("undo")
     assert place.sculptor.recipe.label == "mean"
     mean = np.nan_to_num(place.sculptor.points())
-    assert np.array_equal(np.nan_to_num(place._points), mean) and not np.array_equal(np.nan_to_num(taken), mean)
+    assert np.array_equal(np.nan_to_num(place.points), mean) and not np.array_equal(np.nan_to_num(taken), mean)
     place.actions.run("gallery")
     assert not np.array_equal(gallery.recipes[1].base.top, wanted.base.top), "other draws each time"
     qtbot.keyClick(gallery, Qt.Key.Key_Escape)
     assert place.view.isVisibleTo(place.centre)
+    assert place.actions.run("gallery") and not place.view.isVisibleTo(place.centre)
+    place.actions.run("mean_shape")
+    assert place.view.isVisibleTo(place.centre) and not gallery.isVisibleTo(place.centre), "what was changed is seen"
 
 
 def test_a_part_is_taken_from_a_shape_of_ones_choice(place, qtbot):

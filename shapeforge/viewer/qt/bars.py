@@ -94,13 +94,16 @@ class HeatRamp(QWidget):
 
 
 class RangeSlider(QWidget):
-    """A slider under the distribution of the data; the accent runs from the middle (0) to the handle.
+    """A slider under the distribution of the data; the accent runs from where the shape stands by itself (``home``, a
+    notch) to the handle.
 
-    ``moved`` while dragging, ``released`` once at the end.  Arrow keys move by a fiftieth, Home and double-click reset.
+    ``moved`` while dragging, ``released`` once at the end.  Arrow keys move by a fiftieth, Home and double-click reset,
+    L locks.
     """
 
     moved = Signal(float)
     released = Signal()
+    lock_wanted = Signal()
     MARGIN = 8
 
     def __init__(self, low: float, high: float, histogram: np.ndarray, edges: np.ndarray) -> None:
@@ -109,7 +112,7 @@ class RangeSlider(QWidget):
         self.low, self.high = low - 0.25 * span, high + 0.25 * span  # a little beyond the data may be asked for
         self.inner = (low, high)
         self._histogram, self._edges = np.asarray(histogram, float), np.asarray(edges, float)
-        self.value = 0.0
+        self.value = self.home = 0.0
         self.locked = False
         self.is_dragged = False
         self.setFixedHeight(40)
@@ -117,8 +120,10 @@ class RangeSlider(QWidget):
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAttribute(Qt.WidgetAttribute.WA_Hover)
 
-    def set_value(self, value: float) -> None:
-        """Show a value (of the data's unit), cut to the slider's range."""
+    def set_value(self, value: float, home: float | None = None) -> None:
+        """Show a value (of the data's unit) and its new ``home``, if any; both cut to the slider's range."""
+        if home is not None:
+            self.home = float(min(max(home, self.low), self.high))
         self.value = float(min(max(value, self.low), self.high))
         self.update()
 
@@ -135,7 +140,7 @@ class RangeSlider(QWidget):
     def _value_at(self, x: float) -> float:
         share = (x - self.MARGIN) / max(self.width() - 2 * self.MARGIN, 1)
         value = self.low + min(max(share, 0.0), 1.0) * (self.high - self.low)
-        return 0.0 if abs(self.x_of(value) - self.x_of(0.0)) < 3 else value  # the middle is easy to find again
+        return self.home if abs(self.x_of(value) - self.x_of(self.home)) < 3 else value  # it is easy to find again
 
     def paintEvent(self, event: QEvent) -> None:
         tokens = colours(self)
@@ -143,7 +148,7 @@ class RangeSlider(QWidget):
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setPen(Qt.PenStyle.NoPen)
         groove = self.height() - 10.0
-        active = self.is_dragged or self.underMouse() or self.hasFocus()
+        active = self.is_dragged or self.underMouse()
         tallest = max(float(self._histogram.max(initial=0)), 1.0)
         painter.setBrush(QColor(tokens["accent" if active and not self.locked else "separator_strong"]))
         painter.setOpacity(0.75)
@@ -155,9 +160,10 @@ class RangeSlider(QWidget):
         painter.setOpacity(1)
         painter.setBrush(QColor(tokens["separator_strong"]))
         painter.drawRoundedRect(QRectF(self.MARGIN, groove - 1.5, self.width() - 2 * self.MARGIN, 3), 1.5, 1.5)
-        zero, here = self.x_of(min(max(0.0, self.low), self.high)), self.x_of(self.value)
+        home, here = self.x_of(self.home), self.x_of(self.value)
         painter.setBrush(QColor(tokens["text_off" if self.locked or not self.isEnabled() else "accent"]))
-        painter.drawRect(QRectF(min(zero, here), groove - 1.5, abs(here - zero), 3))
+        painter.drawRect(QRectF(min(home, here), groove - 1.5, abs(here - home), 3))
+        painter.drawRect(QRectF(home - 0.75, groove - 4.5, 1.5, 9))
         painter.setBrush(QColor(tokens["text_off"] if self.locked or not self.isEnabled() else "#FFFFFF"))
         painter.setPen(QPen(QColor(tokens["accent"] if self.hasFocus() else tokens["text_off"]), 1.2))
         painter.drawEllipse(QPointF(here, groove), 6.5, 6.5)
@@ -188,13 +194,15 @@ class RangeSlider(QWidget):
             self.released.emit()
         elif event.key() == Qt.Key.Key_Home:
             self._reset()
+        elif event.key() == Qt.Key.Key_L:
+            self.lock_wanted.emit()
         else:
             super().keyPressEvent(event)
 
     def _reset(self) -> None:
         if not self.locked:
             self.is_dragged = False
-            self._move(0.0)
+            self._move(self.home)
             self.released.emit()
 
     def _move(self, value: float) -> None:

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from shapeforge.viewer.display import Mark
 from shapeforge.viewer.picking import camera_axes
+from shapeforge.viewer.pulling import handles_of, pull
 from shapeforge.viewer.qt.view3d import View3D
 from shapeforge.viewer.sculptor import Sculptor
 from shapeforge.viewer.session import Session
@@ -26,25 +27,31 @@ class Handles:
     ) -> None:  # fmt: skip
         self.session, self.view, self.sculptor = session, view, sculptor
         self.locked, self.let_go = locked, let_go
-        self.points = np.zeros((0, 3))
         self.shown = np.zeros(0, int)
+        self.places = np.zeros((0, 3))
         self.held: tuple[int, np.ndarray, Callable[[np.ndarray], dict[int, float]]] | None = None
         view.hold = self._grab
         view.pulled.connect(self._pull)
         view.released.connect(self._let_handle_go)
 
-    def follow(self, points: Float[np.ndarray, "K 3"]) -> None:
-        """The shape has these points now; the handle in hand stays the same template point."""
-        self.points = points
+    def follow(self, points: Float[np.ndarray, "K 3"], surface: Float[np.ndarray, "V 3"] | None = None) -> None:
+        """The shape has these points now; the handle in hand stays the same template point.
+
+        Where a mesh is on show, whose vertices are the ``surface``, handles sit on it and not beside it.
+        """
         if self.held is None:
-            self.shown = self.sculptor.handles(points)
+            self.shown = handles_of(points)
+        self.places = points[self.shown]
+        if surface is not None and len(surface):
+            away = [((surface - place) ** 2).sum(axis=1).argmin() for place in self.places]
+            self.places = np.asarray(surface, float)[away]
 
     def _grab(self, x: float, y: float) -> bool:
         """Take hold of the handle under the pointer, if there is one."""
-        for k in self.shown:
-            place = self.view.place_of(self.points[k])
+        for k, at in zip(self.shown, self.places, strict=True):
+            place = self.view.place_of(at)
             if np.hypot(place[0] - x, place[1] - y) < GRAB_PIXELS:
-                self.held = (int(k), self.points[k].copy(), self.sculptor.pull(int(k), self.locked()))
+                self.held = (int(k), at.copy(), pull(self.sculptor, int(k), self.locked()))
                 return True
         return False
 
@@ -67,8 +74,8 @@ class Handles:
     def marks(self) -> tuple[Mark, ...]:
         """The handles, the one in hand filled and with an arrow from where it was."""
         marks = []
-        for k in self.shown:
-            at = tuple(float(x) for x in self.points[k])
+        for k, place in zip(self.shown, self.places, strict=True):
+            at = tuple(float(x) for x in place)
             held = self.held is not None and self.held[0] == k
             if held:
                 marks.append(Mark("arrow", tuple(float(x) for x in self.held[1]), to=at))

@@ -1,4 +1,4 @@
-"""The inspector of the Synthesize place: map of the family, sliders of the directions, parts, export."""
+"""The inspector of the Synthesize place: map of the family, sliders, parts, random draws, the mesh, export."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ from jaxtyping import Float
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QFrame, QWidget
 
+from shapeforge.synthesis.assemble import SynthesizedShape
+from shapeforge.synthesis.union import solid_modeller
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.palette import as_hex
 from shapeforge.viewer.qt.bind import Binding, action_button
-from shapeforge.viewer.qt.icons import refresh
+from shapeforge.viewer.qt.icons import refresh, set_icon
+from shapeforge.viewer.qt.stale_note import stale_note
 from shapeforge.viewer.qt.synthesize_parts import DirectionRow, FamilyMap
+from shapeforge.viewer.qt.synthesize_sections import DrawSection, MeshSection
 from shapeforge.viewer.qt.widgets import (
     Choice,
     Swatch,
@@ -24,9 +28,16 @@ from shapeforge.viewer.qt.widgets import (
     scrolled,
     section,
     separator,
+    shortened,
 )
 from shapeforge.viewer.sculptor import Sculptor
 from shapeforge.viewer.session import Session
+
+KINDS = {
+    "bundle": ("Bundles", "A unit of the second layer with the units below that go with it"),
+    "unit": ("Single units", "Units of the first layer, each by itself; a locked one is held in random draws"),
+}
+"""Headings of the finer sliders."""
 
 
 class SynthesizeInspector(QFrame):
@@ -71,27 +82,43 @@ class SynthesizeInspector(QFrame):
         )
         self.part_rows = column(spacing=8)
         self.part_note = label("", "caption_off", wrap=True)
-        self.part_to_take = Choice("take the", (), "", tooltip="A part to take from a shape of your choice")
+        self.part_to_take = Choice("", (), "", tooltip="A part to take from a shape of your choice")
         self.part_to_take.chosen.connect(lambda part: self._show_taken(int(part)))
-        self.take_from = Choice("from", (), "", tooltip="The shape whose part is bent to this place")
+        self.take_from = Choice("", (), "", tooltip="The shape whose part is bent to this place")
         self.take_from.chosen.connect(lambda name: self.taken.emit(self._part, name))
         self._part = 0
-        mixing = row(self.part_to_take, self.take_from, None, spacing=4)
-        parts = section(label("Parts", "heading"), self.part_rows, self.part_note, mixing, line=False)
+        mixing = column(
+            row(label("Take the part"), None, self.part_to_take), row(label("from"), None, self.take_from), spacing=4
+        )
+        reset_parts = action_button(actions, "reset_parts", binding, kind="link", icon=False)
+        parts = section(row(label("Parts", "heading"), None, reset_parts), self.part_rows, self.part_note, mixing)
+        self.draws = DrawSection(session)
+        self.mesh = MeshSection()
         self.export = action_button(actions, "export_mesh", binding, kind="primary")
         foot = QFrame()
         foot.setObjectName("bar")
         foot.setLayout(
             column(
-                row(self.export, action_button(actions, "export_movie", binding, text="", kind="tool"), spacing=6),
+                row(
+                    self.export,
+                    action_button(actions, "export_picture", binding, text="", kind="tool"),
+                    action_button(actions, "export_movie", binding, text="", kind="tool"),
+                    spacing=6,
+                ),
                 label("glb, part names and a recipe to remake it", "caption"),
                 spacing=8,
                 margins=(16, 12, 16, 14),
             )
         )
-        inside = column(scrolled(family, directions, parts), foot, spacing=0)
+        stale = stale_note(actions, binding, "learn", "learn", "Learn again")
+        self._sections = scrolled(stale, family, directions, parts, self.draws, self.mesh)
+        self._empty = QWidget()
+        self._foot = foot
+        inside = column(self._sections, self._empty, foot, spacing=0)
         inside.setStretch(0, 1)
+        inside.setStretch(1, 1)
         self.setLayout(inside)
+        self._blocks = (directions, parts)
 
     def fill(self) -> None:
         """Rows for the sliders and parts of the family there is now."""
@@ -99,6 +126,16 @@ class SynthesizeInspector(QFrame):
         self._show_family()
         self._fill_directions()
         self._fill_parts()
+        # What is painted before the next event would lie upon each other.
+        for block in (*self._blocks, self._sections.widget()):
+            block.layout().activate()
+        self._sections.widget().adjustSize()
+
+    def show_nothing(self, on: bool) -> None:
+        """Nothing has been learnt: there is nothing to steer."""
+        self._sections.setVisible(not on)
+        self._empty.setVisible(on)
+        self._foot.setVisible(not on)
 
     def show_colours(self) -> None:
         """The parts' colours as they are now (they may have been changed in Paint)."""
@@ -112,17 +149,44 @@ class SynthesizeInspector(QFrame):
 
     def show_values(self, points: Float[np.ndarray, "K 3"], between: tuple[str, str] | None) -> None:
         """Show the Session's sliders and parts, and the place on the map of a shape with these points."""
-        exists = self.sculptor.exists()
+        exists, home, values = self.sculptor.exists(), self.sculptor.home(), self.sculptor.values()
         for index, one in enumerate(self.rows):
-            one.set_value(self.session.sliders.get(index, 0.0))
-            one.caption.setText(self.sculptor.caption(index))
+            one.set_value(float(values[index]), float(home[index]))
+            if one.isVisible():  # on a shape of another origin it moves something else
+                one.caption.setText(self.sculptor.caption(index))
         for part, switch in self.switches.items():
             switch.setChecked(bool(exists[part]))
         self._show_taken(self._part)
+        self.show_wishes()
         if len(self.map.places) == len(self.sculptor.shape_names):
             names = self.sculptor.shape_names
             ends = None if between is None else (names.index(between[0]), names.index(between[1]))
             self.map.set_here(self.sculptor.place_on_map(self.map.places, points), ends)
+
+    def show_wishes(self) -> None:
+        """Show what random draws keep to."""
+        names, asked = self.sculptor.part_names, self.session.parts_on
+        parts = tuple(f"{names[part]} {'on' if asked[part] else 'off'}" for part in sorted(asked))
+        self.draws.show_wishes(parts, len(self.locked))
+
+    def show_mesh(self, shape: SynthesizedShape | None) -> None:
+        """Show how the mesh is made; ``shape`` is the newest one, if any."""
+        recipe = self.sculptor.recipe
+        new = recipe.route == "surface"
+        no_union = "A new surface is always one closed solid." if new else missing_modeller()
+        no_colours = "A new surface has no materials." if new else ""
+        if shape is not None and not new and shape.colours is None:
+            no_colours = "None of the shapes that the parts come from has materials."
+        problem = "" if shape is None else str(shape.measures.get("not_united", "")).removeprefix("union: ")
+        self.mesh.show_choice(
+            recipe.route, recipe.union, self.session.mesh_colours, no_union=no_union, no_colours=no_colours,
+            problem=problem[:1].upper() + problem[1:] + "." * bool(problem),
+        )  # fmt: skip
+        for choice in (self.part_to_take, self.take_from):
+            choice.setEnabled(not new)
+        self.take_from.setToolTip(
+            "A new surface is made of no shape's parts" if new else "The shape whose part is bent to this place"
+        )
 
     def _show_family(self) -> None:
         project, names = self.session.project, self.sculptor.shape_names
@@ -146,11 +210,17 @@ class SynthesizeInspector(QFrame):
             one.entered.connect(lambda index=index: self.hovered.emit(index))
             one.left.connect(lambda: self.hovered.emit(None))
             one.locked.connect(lambda on, index=index: self._lock(index, on))
-            (self.direction_rows if index < sculptor.coarse else self.finer_rows.layout()).addWidget(one)
+            box = self.direction_rows if index < sculptor.coarse else self.finer_rows.layout()
+            if index >= sculptor.coarse and direction.kind != sculptor.directions[index - 1].kind:
+                words, explained = KINDS[direction.kind]
+                box.addLayout(row(label(words, "strong", tooltip=explained), None, margins=(16, 8, 16, 2)))
+            box.addWidget(one)
+            one.show()  # now, not with the next event: what is hidden has no place in the layout
             self.rows.append(one)
         finer = len(self.rows) - sculptor.coarse
         self.finer.setVisible(finer > 0)
-        self.finer.setText(f"{finer} finer directions")
+        self._words_of_finer = f"{finer} bundles and single units"
+        self.finer.setText(self._words_of_finer)
         self.direction_count.setText(f"{sculptor.coarse} of {len(self.rows)}")
         refresh(self, self.session.theme)
 
@@ -177,6 +247,8 @@ class SynthesizeInspector(QFrame):
             line.setStretch(0, 1)
             line.setStretch(1, 1)
             self.part_rows.addLayout(line)
+            for holder in pair:
+                holder.show()
         fixed = [sculptor.part_names[part] for part in shown if always[part]]
         words = " and ".join(([", ".join(fixed[:-1])] if fixed[:-1] else []) + fixed[-1:])
         self.part_note.setText(f"{words.capitalize()}: on every shape of the family." if fixed else "")
@@ -186,16 +258,31 @@ class SynthesizeInspector(QFrame):
         sculptor = self.sculptor
         self._part = part if part in self.switches else next(iter(self.switches), 0)
         self.part_to_take.set_options(
-            tuple((str(l), sculptor.part_names[l]) for l in self.switches), str(self._part)
+            tuple((str(l), shortened(sculptor.part_names[l], 18)) for l in self.switches), str(self._part)
         )  # fmt: skip
         having = sculptor.observations.exists[:, self._part]
         names = tuple(n for n, has in zip(sculptor.shape_names, having, strict=True) if has)
         self.take_from.set_options(
-            (("", "the nearest"), *((n, n) for n in names)), sculptor.recipe.taken.get(self._part, "")
+            (("", "the nearest"), *((n, shortened(n, 24)) for n in names)), sculptor.recipe.taken.get(self._part, "")
         )
 
     def _toggle_finer(self) -> None:
-        self.finer_rows.setVisible(not self.finer_rows.isVisible())
+        shown = not self.finer_rows.isVisible()
+        self.finer_rows.setVisible(shown)
+        set_icon(self.finer, "up" if shown else "down", "accent_text")
+        if shown:
+            for index in range(self.sculptor.coarse, len(self.rows)):
+                self.rows[index].caption.setText(self.sculptor.caption(index))
 
     def _lock(self, index: int, on: bool) -> None:
         self.locked = self.locked | {index} if on else self.locked - {index}
+        self.show_wishes()
+
+
+def missing_modeller() -> str:
+    """Why parts cannot be united here; "" if they can."""
+    try:
+        solid_modeller()
+    except ValueError as error:
+        return str(error).removeprefix("union: ")
+    return ""

@@ -1,19 +1,17 @@
-"""Pieces of the Synthesize place: one direction with its slider, the map of the family, the bar between A and B."""
+"""Pieces of the Synthesize place: one direction with its slider, and the map of the family."""
 
 from __future__ import annotations
 
 import numpy as np
 from PySide6.QtCore import QEvent, QPointF, QRectF, Qt, Signal
 from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPen
-from PySide6.QtWidgets import QFrame, QSlider, QWidget
+from PySide6.QtWidgets import QFrame, QWidget
 
 from shapeforge.viewer.palette import group_colours
 from shapeforge.viewer.qt.bars import RangeSlider
 from shapeforge.viewer.qt.icons import set_icon
 from shapeforge.viewer.qt.theme import colours, font
-from shapeforge.viewer.qt.widgets import Choice, ElidedLabel, Picture, button, column, label, row
-
-AB_STEPS = 100
+from shapeforge.viewer.qt.widgets import ElidedLabel, button, column, label, row
 
 
 class DirectionRow(QFrame):
@@ -33,7 +31,8 @@ class DirectionRow(QFrame):
         self.slider = RangeSlider(low, high, histogram, edges)
         self.slider.setAccessibleName(name)
         self.slider.setToolTip(
-            "Bars: the shapes of the family. Double-click resets, the lock keeps the value, arrow keys move it."
+            f"{name}\nBars: the shapes of the family.\nNotch: the shape by itself.\n"
+            "Double-click resets, L locks,\narrow keys move it."
         )
         self.caption = ElidedLabel(caption, "caption")
         self.name, self.value = ElidedLabel(name, "strong"), label("0.0", "text2")
@@ -51,6 +50,7 @@ class DirectionRow(QFrame):
         self.setLayout(column(top, middle, self.caption, spacing=1, margins=(16, 4, 16, 4)))
         self.slider.moved.connect(self.moved)
         self.slider.released.connect(self.released)
+        self.slider.lock_wanted.connect(self.lock.toggle)
         self.setFixedHeight(84)
 
     def _lock(self, on: bool) -> None:
@@ -58,9 +58,9 @@ class DirectionRow(QFrame):
         set_icon(self.lock, "lock" if on else "unlock", "accent_text" if on else "text_off", 14)
         self.locked.emit(on)
 
-    def set_value(self, value: float) -> None:
-        """Show a value in standard deviations."""
-        self.slider.set_value(value)
+    def set_value(self, value: float, home: float) -> None:
+        """Show a value in standard deviations, and where the shape stands by itself."""
+        self.slider.set_value(value, home)
         self.value.setText("0" if abs(value) < 0.05 else f"{value:+.1f}".replace("-", "−"))
 
     def enterEvent(self, event: QEvent) -> None:
@@ -164,47 +164,3 @@ class FamilyMap(QWidget):
         index = self._at(event)
         if index is not None:
             self.chosen.emit(index)
-
-
-class BetweenBar(QFrame):
-    """A at the left, B at the right, and how far from one to the other."""
-
-    moved = Signal(float)
-    released = Signal()
-    ends_chosen = Signal(str, str)
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.setObjectName("bar")
-        self.setFixedHeight(56)
-        self.pictures = (Picture((44, 44)), Picture((44, 44)))
-        self.choices = (Choice("A", (), ""), Choice("B", (), ""))
-        self.choices[0].chosen.connect(lambda name: self.ends_chosen.emit(name, self.ends[1]))
-        self.choices[1].chosen.connect(lambda name: self.ends_chosen.emit(self.ends[0], name))
-        self.ends: tuple[str, str] = ("", "")
-        self.slider = QSlider(Qt.Orientation.Horizontal)
-        self.slider.setRange(0, AB_STEPS)
-        self.slider.setAccessibleName("Between A and B")
-        self.slider.valueChanged.connect(lambda value: self.moved.emit(value / AB_STEPS))
-        self.slider.sliderReleased.connect(self.released)
-        self.value = label("50%", "strong")
-        self.value.setFixedWidth(40)
-        swap = button(icon="swap", kind="tool", tooltip="Exchange A and B")
-        swap.clicked.connect(lambda: self.ends_chosen.emit(self.ends[1], self.ends[0]))
-        box = row(self.pictures[0], self.choices[0], self.slider, self.value, self.choices[1], self.pictures[1], swap,
-                  spacing=10, margins=(16, 5, 16, 5))  # fmt: skip
-        box.setStretch(2, 1)
-        self.setLayout(box)
-
-    def set_ends(self, names: tuple[str, ...], ends: tuple[str, str]) -> None:
-        """The shapes to choose from, and A and B."""
-        self.ends = ends
-        for choice, name in zip(self.choices, ends, strict=True):
-            choice.set_options(tuple((n, n) for n in names), name)
-
-    def set_share(self, share: float) -> None:
-        """Show how far from A to B (0..1), without telling."""
-        self.slider.blockSignals(True)
-        self.slider.setValue(round(share * AB_STEPS))
-        self.slider.blockSignals(False)
-        self.value.setText(f"{share:.0%}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,15 +12,15 @@ from PySide6.QtCore import Qt, QTimer, Signal
 from PySide6.QtGui import QPixmap
 from PySide6.QtWidgets import QFrame, QGridLayout, QWidget
 
-from shapeforge.viewer.mesh_worker import Made
+from shapeforge.viewer.mesh_worker import Made, Wish
 from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.view3d import View3D
 from shapeforge.viewer.qt.widgets import Clickable, ElidedLabel, Picture, button, column, framed, label, row, scrolled
 from shapeforge.viewer.sculptor import Recipe
 
 SPIN_MS, SPIN_DEGREES = 40, 2.0
-CARDS, COLUMNS = 12, 4
-CARD = (188, 150)
+CARDS, COLUMNS = 12, (2, 3, 4, 6)
+CARD, GAP, NAME = (188, 150), 12, 28  # pixels: the smallest picture, between cards, below the picture
 
 
 class Spin:
@@ -54,12 +55,25 @@ class Spin:
 class GalleryCard(Clickable):
     """One draw of the gallery."""
 
-    def __init__(self, text: str) -> None:
-        self.picture = Picture(CARD)
+    def __init__(self, text: str, size: tuple[int, int]) -> None:
+        self.picture = Picture(size)
         self.name = ElidedLabel(text, "caption")
         inside = column(self.picture, row(self.name, margins=(8, 0, 8, 0)), spacing=2, margins=(0, 0, 0, 6))
         super().__init__(inside, "card", tooltip="Click to take this one")
-        self.setFixedSize(CARD[0] + 2, CARD[1] + 28)
+        self.setFixedSize(size[0] + 2, size[1] + NAME)
+
+
+def card_layout(width: int, height: int) -> tuple[int, tuple[int, int]]:
+    """How many columns of cards, and pictures of which size, show CARDS best in so many pixels; never below CARD."""
+    best = (2, CARD)
+    for columns in COLUMNS:
+        rows = CARDS // columns
+        wide = (width - GAP * (columns - 1)) // columns - 14 // columns - 2
+        tall = (height - GAP * (rows - 1)) // rows - NAME
+        fit = min(wide / CARD[0], max(tall / CARD[1], 1.0))
+        if wide >= CARD[0] and fit >= best[1][0] / CARD[0]:
+            best = columns, (int(fit * CARD[0]), int(fit * CARD[1]))
+    return best
 
 
 class Gallery(QFrame):
@@ -75,6 +89,7 @@ class Gallery(QFrame):
         self.recipes: list[Recipe] = []
         self.made: dict[int, Made] = {}
         self.cards: list[GalleryCard] = []
+        self.card_size = CARD
         more = button("Another dozen", icon="dice", tooltip="Twelve other draws")
         more.clicked.connect(self.again.emit)
         close = button(icon="close", kind="tool", tooltip="Back to the shape (Escape)")
@@ -82,9 +97,9 @@ class Gallery(QFrame):
         head = framed(row(label("Gallery", "heading"), label("click one to take it", "caption"), None, more, close,
                           margins=(16, 8, 16, 8)))  # fmt: skip
         self._grid = QGridLayout()
-        self._grid.setSpacing(12)
+        self._grid.setSpacing(GAP)
         self._grid.setContentsMargins(16, 8, 16, 16)
-        self._grid.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
+        self._grid.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignHCenter)
         holder = QWidget()
         holder.setLayout(self._grid)
         whole = column(head, scrolled(holder), spacing=0)
@@ -104,10 +119,10 @@ class Gallery(QFrame):
         for card in self.cards:
             card.setParent(None)
             card.deleteLater()
-        columns = max(min(COLUMNS, self.width() // (CARD[0] + 14)), 2)
+        columns, self.card_size = card_layout(self.width() - 32, self.height() - 72)
         self.cards = []
         for i, name in enumerate(names):
-            card = GalleryCard(name)
+            card = GalleryCard(name, self.card_size)
             card.clicked.connect(lambda i=i: self.chosen.emit(i))
             self._grid.addWidget(card, i // columns, i % columns)
             self.cards.append(card)
@@ -181,15 +196,27 @@ class Shows:
             place.centre.setFocus()
             return
         recipes, names, wanted = [], [], []
-        for _ in range(CARDS):
-            base = place.sculptor.random_base()
-            recipes.append(Recipe("random", base, origin=f"draw {place.sculptor._draws}"))
-            names.append(f"draw {place.sculptor._draws}")
-            wanted.append((place.sculptor.points(recipes[-1]), place.sculptor.exists(recipes[-1])))
+        sculptor, locked = place.sculptor, place.inspector.locked
+        for number in range(CARDS):
+            drawn = place.drawn()
+            drawn = replace(
+                drawn,
+                sliders=sculptor.kept(locked, drawn.base),
+                route=sculptor.recipe.route,
+                union=sculptor.recipe.union,
+            )
+            recipes.append(drawn)
+            names.append(drawn.origin)
+            wanted.append(Wish(number, sculptor.points(drawn), sculptor.exists(drawn), True, route=drawn.route))
         self.gallery.show_recipes(recipes, names, place.session.theme)
         place.worker.ask_besides(wanted)
         self.show_pictures()
         self.gallery.setFocus()
+
+    def leave_gallery(self) -> None:
+        """Back to the shape, if the gallery hides it: it has just been changed."""
+        if self.gallery.isVisibleTo(self.place.centre):
+            self.show_gallery(False)
 
     def show_pictures(self) -> None:
         """The gallery's cards with what there is by now."""
@@ -208,12 +235,12 @@ class Shows:
             layer: Any = (
                 sculptor.points_layer(sculptor.points(recipe), 2.0) if made is None else sculptor.mesh_layer(made.shape)
             )
-            return take_picture(View((layer,)), CARD, theme, transparent=True)
+            return take_picture(View((layer,)), self.gallery.card_size, theme, transparent=True)
 
-        return self.place.thumbnails.pixmap(("gallery", id(recipe), made is None, theme, sculptor.inks.tobytes()), take)
+        return self.place.thumbnails.pixmap(("gallery", id(recipe), made is None, theme, sculptor.inks.tobytes(),
+                                            self.place.session.mesh_colours), take)  # fmt: skip
 
     def _take(self, i: int) -> None:
         recipe = self.gallery.recipes[i]
         self.show_gallery(False)
-        self.place._end_between()
-        self.place._start(recipe)
+        self.place.take_up(recipe)

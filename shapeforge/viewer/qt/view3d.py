@@ -7,6 +7,7 @@ turning drag moves it.  The wheel zooms at the pointer; where ``left_paints`` is
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -18,8 +19,9 @@ from PySide6.QtWidgets import QVBoxLayout, QWidget
 from pyvistaqt import QtInteractor
 from vtkmodules.vtkRenderingCore import vtkCamera
 
-from shapeforge.viewer.display import Display, Mark, MeshLayer, PointLayer
-from shapeforge.viewer.look import VIEW_DIRECTION, frame_of, place_camera
+from shapeforge.viewer.display import Display, Mark
+from shapeforge.viewer.framing import contents, framing
+from shapeforge.viewer.look import place_camera
 from shapeforge.viewer.palette import rgb, tokens
 from shapeforge.viewer.picking import Number, Pick, Picker, Rectangle, camera_axes, project
 from shapeforge.viewer.pictures import SHADOW
@@ -57,6 +59,7 @@ class View3D(QWidget):
         self.hold: Callable[[float, float], bool] | None = None
         self.frames = 0
         self._closed = False
+        self._painted = -math.inf
         self._software: bool | None = None
         self._drag: str | None = None
         self._last = self._press = QPointF()
@@ -127,47 +130,21 @@ class View3D(QWidget):
         """Fit again when what is shown sticks out of its cell, unless the user has placed the camera."""
         if self._user_camera:
             return
-        for i, (points, (x, y, width, height)) in enumerate(zip(self._contents(), self.rectangles(), strict=False)):
+        for i, (points, (x, y, width, height)) in enumerate(zip(contents(self.shown), self.rectangles(), strict=False)):
             if len(points):
                 places = project(self._camera(i), points, (x, y, width, height))
                 if (places < (x, y)).any() or (places > (x + width, y + height)).any():
                     self._fit_now()
                     return
 
-    def _contents(self) -> list[np.ndarray]:
-        """Finite corners and points (n, 3) shown in each cell."""
-        all_of = [
-            np.concatenate([
-                layer.vertices if isinstance(layer, MeshLayer) else layer.positions
-                for layer in view.layers if isinstance(layer, MeshLayer | PointLayer)
-            ] or [np.zeros((0, 3))])
-            for view in self.scene.display.views
-        ]  # fmt: skip
-        return [points[np.isfinite(points).all(axis=1)] for points in all_of]
-
     def _fit_now(self) -> None:
-        views = [points for points in self._contents() if len(points)]
         cells = self.rectangles()
-        if not views or not cells:
-            return
-        _, _, width, height = cells[0]
-        # Words are above and below the shape, so that neither covers the other.
-        line, margin = (19, 1.1) if len(self.scene.display.views) > 3 else (22, 1.16)
-        above, below = (line * self._lines(where) for where in ("top", "bottom"))
-        free = max(height - above - below, 0.4 * height)
-        focus, scale = frame_of(np.concatenate(views), width / free, VIEW_DIRECTION, margin)
-        scale *= height / free
-        place_camera(self.scene.camera, focus, scale)
-        self._shift(np.array([0.0, (above - below) * scale / height]))
-        self.camera_changed()
-
-    def _lines(self, where: str) -> int:
-        """How many lines of words stand at the "top" or "bottom" of the cells."""
-        shown = self.scene.display.views
-        words = [len(caption.lines) for view in shown for caption in view.captions if caption.corner.startswith(where)]
-        # Cells of a grid keep room for two lines above: the second one comes with the first click.
-        usual = 2 if where == "top" and len(shown) > 3 else 0
-        return max([usual, *words, *(1 for view in shown if where == "bottom" and view.confidence is not None)])
+        found = framing(self.scene.display, cells[0][2:]) if cells else None
+        if found is not None:
+            focus, scale, up = found
+            place_camera(self.scene.camera, focus, scale)
+            self._shift(np.array([0.0, up]))
+            self.camera_changed()
 
     def turn_to(self, azimuth: Number, elevation: Number) -> None:
         """Look from ``azimuth`` degrees (0 is the front, +z) and ``elevation`` degrees above the floor."""
@@ -197,9 +174,10 @@ class View3D(QWidget):
     # ---- drawing -------------------------------------------------------------------------------------------------
 
     def repaint_soon(self) -> None:
-        """Draw within 33 ms; asked twice, drawn once, with the newest state."""
+        """Draw now, or 33 ms after the last time if that is later; asked twice, drawn once, with the newest state."""
         if not self._timer.isActive() and not self._closed:
-            self._timer.start()
+            since = 1e3 * (time.monotonic() - self._painted)
+            self._timer.start(int(max(FRAME_MS - since, 0)))
 
     @property
     def at_rest(self) -> bool:
@@ -209,6 +187,7 @@ class View3D(QWidget):
     def _paint(self) -> None:
         if self._closed:
             return
+        self._painted = time.monotonic()
         self.scene.smooth(self._software is False)
         self.plotter.update()
         self._settle.start()

@@ -319,6 +319,7 @@ class Choice(QPushButton):
         super().__init__()
         self._options: list[tuple[str, str]] = []
         self._prefix, self._value = label(prefix, "text2"), label("", "strong")
+        self._prefix.setVisible(bool(prefix))
         self._arrow = icon_label("down", "text_2", 14)
         for part in (self._prefix, self._value, self._arrow):
             part.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)

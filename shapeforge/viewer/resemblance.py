@@ -1,0 +1,41 @@
+"""How near new shapes are to those of the family, point by corresponding point: fast enough for a slider that moves."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+SPARSE = 400
+"""So many of the points, evenly chosen, tell how much shapes resemble each other."""
+ABSENT = 0.15
+"""A point that only one of two shapes has counts as so far away (diagonals)."""
+
+
+def nearest_shape(positions: Float[np.ndarray, "T K 3"], points: Float[np.ndarray, "K 3"]) -> tuple[int, float]:
+    """Index of the shape nearest to the points, and the mean distance (diagonals) over the points that both have.
+
+    NaN where a point is absent.  A shape that has less than half of the points is no candidate unless all have less.
+    """
+    square = np.zeros(positions.shape[:2])
+    for axis in range(3):
+        square += (positions[..., axis] - points[:, axis]) ** 2
+    away = np.sqrt(square, out=square)
+    both = np.isfinite(away)
+    count = both.sum(axis=1)
+    share = count / max(int(np.isfinite(points).all(axis=1).sum()), 1)
+    mean = np.where(both, away, 0).sum(axis=1) / np.maximum(count, 1)
+    mean = np.where(share > 0.5, mean, np.inf)
+    best = int(mean.argmin())
+    return best, float(mean[best])
+
+
+def resemblance(positions: Float[np.ndarray, "T K 3"], points: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, " T"]:
+    """How much each shape resembles the points (NaN where absent): weights that fall off with the mean distance, sum 1.
+
+    Of many points some hundred are looked at.
+    """
+    step = max(len(points) // SPARSE, 1)
+    away = np.linalg.norm(positions[:, ::step] - points[::step], axis=2)
+    away = np.where(np.isfinite(away), away, ABSENT).mean(axis=1)
+    weight = np.exp(-((away - away.min()) / max(0.25 * float(away.min()), 0.004)))
+    return weight / weight.sum()

@@ -1,0 +1,86 @@
+"""What the Synthesize place shows: the shape in hand with what is known about it, and how hot a slider makes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from shapeforge.viewer.display import Caption, Display, Mark, MeshLayer, PointLayer, View
+from shapeforge.viewer.mesh_worker import Made
+from shapeforge.viewer.palette import heat
+from shapeforge.viewer.sculptor import Sculptor
+
+Layer = MeshLayer | PointLayer
+
+
+def heated(sculptor: Sculptor, layer: Layer, points: Float[np.ndarray, "K 3"], index: int) -> Layer:
+    """The layer, each place as hot as a slider moves the nearest of the shape's ``points``."""
+    there = np.isfinite(points).all(axis=1)
+    moves = sculptor.moves(index)[there]
+    share = moves / max(float(np.quantile(moves, 0.98)) if len(moves) else 0.0, 1e-9)
+    if isinstance(layer, PointLayer):
+        return replace(layer, colours=heat(share))
+    nearest = cKDTree(points[there]).query(layer.vertices[layer.triangles].mean(axis=1))[1]
+    return replace(layer, colours=heat(share[nearest]))
+
+
+def display(
+    layers: tuple[Layer, ...], made: Made | None, label: str, busy: bool, marks: tuple[Mark, ...] = (),
+    moves: bool = False, *, failed: bool = False,
+) -> Display:  # fmt: skip
+    """The shape with what is known about it in the corners; it ``moves`` while something is dragged."""
+    lines = (("points only: the mesh could not be made", "error"),) if failed else _size_words(made)
+    captions = [Caption("top left", ((label, "strong"), *lines))]
+    if made is not None:
+        nearest = f"nearest real shape: {made.nearest}, {100 * made.nearest_distance:.1f}% of size"
+        captions.append(Caption("top right", ((origin_words(made.shape.sources), "plain"), (nearest, "plain"))))
+        captions.append(Caption("bottom right", ((measure_words(made.shape.measures), "plain"),)))
+    if busy:
+        captions.append(Caption("bottom left", (("making the mesh…", "faint"),)))
+    else:
+        captions.append(Caption("bottom left", (("Drag a handle on the shape, the rest follows", "faint"),)))
+    return Display((View(layers, marks, tuple(captions), moves=moves),))
+
+
+def origin_words(sources: tuple[str, ...]) -> str:
+    """Which training shapes lent parts; none did for a new surface."""
+    used = sorted({name for name in sources if name})
+    if not used:
+        return "a new surface, of no shape's parts"
+    return f"parts from {', '.join(used[:3])}" + (f" and {len(used) - 3} more" if len(used) > 3 else "")
+
+
+def _size_words(made: Made | None) -> tuple[tuple[str, str], ...]:
+    if made is None:
+        return ()
+    measures = made.shape.measures
+    words = f"{len(made.shape.triangles):,} faces".replace(",", "\u202f")
+    if made.preview:
+        words = f"preview, {words}"
+    if not made.preview and measures.get("open_edges") == 0:
+        words += ", watertight"
+    lines = [(words, "plain")]
+    if "not_united" in measures:
+        why = str(measures["not_united"]).removeprefix("union: ").partition(";")[0]
+        lines.append((f"not one solid: {why}", "warning"))
+    return tuple(lines)
+
+
+def measure_words(measures: Mapping[str, Any]) -> str:
+    """What was measured on a made mesh, in one line."""
+    words = []
+    if "largest_gap" in measures:
+        words.append(f"gaps {100 * measures['largest_gap']:.1f}%")
+    elif measures.get("distance_from_draw") is not None:
+        words.append(f"{100 * measures['distance_from_draw']:.1f}% off the points")
+    if measures.get("symmetry_error") is not None:
+        words.append(f"symmetry {100 * measures['symmetry_error']:.1f}% of size")
+    if "folded_triangles" in measures:
+        folded = int(measures["folded_triangles"])
+        words.append(f"{folded} folded triangle{'s' * (folded != 1)}")
+    return " · ".join(words)
