@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import breadth_first_order
 
 from shapeforge.synthesis.capping import loops_of
 from shapeforge.synthesis.cleaning import areas, components
-from shapeforge.synthesis.surfaces import Triangles, Vertices, good_triangles, sides_of, split_sides, weld
+from shapeforge.synthesis.surfaces import Triangles, Vertices, distinct_triangles, sides_of, split_sides, weld
 
 SHEET = 0.006
 """Thickness (diagonals) that surfaces without one are given."""
@@ -43,7 +43,7 @@ def closed_solids(vertices: Vertices, triangles: Triangles) -> list[Solid]:
     """
     vertices, triangles = weld(vertices, triangles)
     collapsed = (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)
-    triangles = triangles[good_triangles(vertices, triangles, -1.0) & ~collapsed]  # slivers stay: without them, holes
+    triangles = triangles[distinct_triangles(triangles) & ~collapsed]  # slivers stay: without them, holes
     triangles = triangles[_outer(vertices, triangles)]
     sides = _pairs(vertices, triangles)
     component = components(len(triangles), *(sides // 3).T)
