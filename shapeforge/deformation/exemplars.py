@@ -13,6 +13,7 @@ from shapeforge.collection.points import nearest_points
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.copies import find_copies
+from shapeforge.deformation.existence import DOUBT
 from shapeforge.deformation.templates import PartTemplates
 from shapeforge.deformation.updates import Problem, mapped_normals
 
@@ -27,12 +28,13 @@ LOCAL_GAP, LOCAL_TURN = 0.007, 0.15
 """The same around one point of the surface: an exemplar with arms may speak for the arms of a shape that another
 exemplar explains better in all else."""
 
-LENT, LENT_ODDS = 0.1, 1.0
+LENT = 0.1
 """A part that the best exemplar lacks is another's, if at least this share of what that one says of it is believed, and
-if the log odds of its existence, both opinions together, are at least these (or nobody was asked yet)."""
+if it is not doubted as a part of one's own is: by the log odds of its existence, both opinions together."""
 
 BROUGHT_ODDS = 0.0
-"""The same for a part that the family's templates bring to a shape whose best exemplar lacks it."""
+"""Log odds, both opinions together, from which a part is believed that the family's templates bring to a shape whose
+best exemplar lacks it."""
 
 COMPACT = ("deformed", "variance", "segmentation")
 """Arrays of the beliefs that a fit holds in single precision, of every shape and exemplar."""
@@ -119,8 +121,9 @@ def best_of(candidates: Sequence[Candidate]) -> Candidate:
 def lenders(candidates: Sequence[Candidate]) -> dict[int, int]:
     """Parts that the best candidate lacks, and which candidate brings each: its index.
 
-    A part is lent when the shape believes enough of what the lender says of it, and when it likely exists by the
-    opinions of both: one whose template does not know the part has none, one that switched it off speaks against it.
+    A part is lent when the shape believes enough of what the lender says of it, and unless both opinions together doubt
+    that it exists, as an exemplar's own part is doubted: one whose template does not know the part has none, one that
+    switched it off speaks against it.
     """
     best = best_of(candidates).beliefs
     said = [
@@ -132,7 +135,7 @@ def lenders(candidates: Sequence[Candidate]) -> dict[int, int]:
         theirs = candidates[lender].beliefs
         own = theirs.segmentation[:, part].sum(dtype=np.float64)
         odds = _together(theirs, best)[part]
-        if theirs.active[part] and said[lender][part] > LENT * own and not odds < LENT_ODDS:
+        if theirs.active[part] and said[lender][part] > LENT * own and not odds < DOUBT:
             found[part] = lender
     return found
 

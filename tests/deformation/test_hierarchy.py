@@ -9,6 +9,7 @@ import pytest
 
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.exemplars import Candidate, blend
+from shapeforge.deformation.existence import DOUBT
 from shapeforge.deformation.hierarchy import deformed_family, link_templates
 from shapeforge.deformation.templates import PartTemplates, template_from_points
 
@@ -117,8 +118,15 @@ def test_a_part_that_the_best_exemplar_found_missing_is_not_lent(explained_twice
 
 def test_one_that_doubts_a_part_a_little_is_overruled_by_one_that_is_sure(explained_twice):
     _, best, other = explained_twice
-    doubting = replace(best, beliefs=replace(best.beliefs, misfit=np.array([2.0, 2.0, 2.0, -2.5])))
+    doubting = replace(best, beliefs=replace(best.beliefs, misfit=np.array([2.0, 2.0, 2.0, -5.0])))
     assert blend((doubting, other)).lent == ()
     sure = replace(other, beliefs=replace(other.beliefs, misfit=np.array([2.0, 2.0, 2.0, 4.0])))
     mixed = blend((doubting, sure))
     assert [part for part, _ in mixed.lent] == [3] and (mixed.segmentation[80:].argmax(axis=1) == 3).all()
+
+
+def test_a_part_that_only_one_exemplar_knows_is_doubted_as_its_own_parts_are(explained_twice):
+    _, best, other = explained_twice
+    for odds, lent in ((DOUBT + 0.1, [3]), (DOUBT - 0.1, [])):
+        unsure = replace(other, beliefs=replace(other.beliefs, misfit=np.array([2.0, 2.0, 2.0, odds])))
+        assert [part for part, _ in blend((best, unsure)).lent] == lent

@@ -12,6 +12,7 @@ from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
 from PySide6.QtGui import QEnterEvent
 from PySide6.QtWidgets import QApplication
 
+from shapeforge.generative.inference import logit
 from shapeforge.stages import StageError
 from shapeforge.stages_recipes import read_recipe, remake
 from shapeforge.synthesis import surface as from_scratch
@@ -190,17 +191,18 @@ def test_draws_have_the_parts_that_are_switched(place, qtbot):
 def test_draws_near_the_shape_in_hand_are_nearer_and_less_variety_means_less(place, qtbot):
     sculptor, draws = place.sculptor, place.inspector.draws
 
-    def spread() -> float:
-        start = sculptor.latents_in_hand().first
-        return float(np.mean([np.abs(place.drawn().base.first - start).mean() for _ in range(8)]))
+    def drawn() -> tuple[float, float]:
+        """How far draws are from the shape in hand, and how much they differ among themselves, in log odds."""
+        found = np.stack([logit(place.drawn().base.first) for _ in range(8)])
+        return float(np.abs(found - logit(sculptor.latents_in_hand().first)).mean()), float(found.std(axis=0).mean())
 
-    usual = spread()
+    usual, _ = drawn()
     qtbot.mouseClick(draws.near, LEFT)
     assert place.session.near
-    near = spread()
+    near, varied = drawn()
     qtbot.mouseClick(draws.temperature.button("0.6"), LEFT)
     assert place.session.temperature == 0.6
-    assert spread() < near < usual
+    assert near < usual and drawn()[1] < 0.95 * varied
 
 
 # ---- how the mesh is made ------------------------------------------------------------------------------------------
