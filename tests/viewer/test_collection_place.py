@@ -17,7 +17,7 @@ from shapeforge.viewer.layout import GAP, HULL_MARGIN, hull, place_by_likeness, 
 from shapeforge.viewer.palette import GROUPS, rgb
 from shapeforge.viewer.qt.collection_panel import CollectionPlace
 from shapeforge.viewer.qt.collection_words import hover_card, typical_text
-from shapeforge.viewer.qt.widgets import Clickable, EditableName
+from shapeforge.viewer.qt.controls import Clickable, EditableName
 from tests.viewer.conftest import paint_exemplars
 
 LEFT = Qt.MouseButton.LeftButton

@@ -14,6 +14,7 @@ from shapeforge.viewer.palette import rgb
 from shapeforge.viewer.qt.bind import Binding, action_button, keep_enabled
 from shapeforge.viewer.qt.collection_parts import MAP_PICTURE, CollectionStrip, ProblemList, SelectionSection
 from shapeforge.viewer.qt.collection_words import hover_card, typical_text
+from shapeforge.viewer.qt.controls import Choice, Segments
 from shapeforge.viewer.qt.group_list import GroupList
 from shapeforge.viewer.qt.group_map import GroupMap
 from shapeforge.viewer.qt.group_menus import GroupMenus
@@ -23,9 +24,7 @@ from shapeforge.viewer.qt.map_drawing import MapContent, group_colour
 from shapeforge.viewer.qt.theme import PADDING
 from shapeforge.viewer.qt.thumbnails import Thumbnails
 from shapeforge.viewer.qt.widgets import (
-    Choice,
     Picture,
-    Segments,
     button,
     column,
     framed,

@@ -13,12 +13,12 @@ from shapeforge.store import Problem
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.palette import rgb
 from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.controls import Clickable
 from shapeforge.viewer.qt.icons import refresh, set_icon
 from shapeforge.viewer.qt.map_drawing import group_colour
 from shapeforge.viewer.qt.theme import PADDING
 from shapeforge.viewer.qt.thumbnails import Thumbnails
 from shapeforge.viewer.qt.widgets import (
-    Clickable,
     ElidedLabel,
     Picture,
     button,

@@ -11,16 +11,11 @@ from shapeforge.viewer.actions import YES, Action, Actions
 from shapeforge.viewer.lightbox import Lightbox
 from shapeforge.viewer.picking import Pick
 from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.controls import Choice
 from shapeforge.viewer.qt.correspondence_keys import PointKeys
 from shapeforge.viewer.qt.landmark_strip import LandmarkStrip
 from shapeforge.viewer.qt.point_inspector import PointInspector
-from shapeforge.viewer.qt.widgets import (
-    Choice,
-    ElidedLabel,
-    column,
-    framed,
-    row,
-)
+from shapeforge.viewer.qt.widgets import ElidedLabel, column, framed, row
 from shapeforge.viewer.session import Session
 
 COUNTS = ("4", "6", "9", "12", "16", "20")

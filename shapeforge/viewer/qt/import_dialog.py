@@ -23,8 +23,8 @@ from shapeforge.viewer.import_preview import FilePreview, previews, size_words, 
 from shapeforge.viewer.palette import tokens
 from shapeforge.viewer.pictures import mesh_view, take_picture
 from shapeforge.viewer.qt import icons
+from shapeforge.viewer.qt.controls import Choice as Menu
 from shapeforge.viewer.qt.thumbnails import Thumbnails
-from shapeforge.viewer.qt.widgets import Choice as Menu
 from shapeforge.viewer.qt.widgets import ElidedLabel, button, column, grouped, label, row
 from shapeforge.viewer.runner import Runner, sentence
 from shapeforge.viewer.session import Session

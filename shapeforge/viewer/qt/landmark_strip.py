@@ -17,19 +17,9 @@ from PySide6.QtWidgets import QFrame, QScrollArea, QWidget
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.lightbox import Lightbox
 from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.controls import Clickable, EditableName
 from shapeforge.viewer.qt.icons import refresh, set_icon
-from shapeforge.viewer.qt.widgets import (
-    Clickable,
-    EditableName,
-    button,
-    clear,
-    column,
-    framed,
-    icon_label,
-    label,
-    row,
-    separator,
-)
+from shapeforge.viewer.qt.widgets import button, clear, column, framed, icon_label, label, row, separator
 from shapeforge.viewer.readiness import next_step
 from shapeforge.viewer.session import Session
 

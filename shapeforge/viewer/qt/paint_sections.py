@@ -9,7 +9,8 @@ from PySide6.QtWidgets import QBoxLayout, QFrame, QSlider, QWidget
 from shapeforge.viewer.actions import Actions, next_to_paint
 from shapeforge.viewer.painter import BRUSH_LIMITS, Painter
 from shapeforge.viewer.qt.bind import Binding, action_button, keep_enabled
-from shapeforge.viewer.qt.widgets import Segments, Switch, button, column, heading, icon_label, label, row, section
+from shapeforge.viewer.qt.controls import Segments, Switch
+from shapeforge.viewer.qt.widgets import button, column, heading, icon_label, label, row, section
 from shapeforge.viewer.readiness import starts_from_proposal
 from shapeforge.viewer.session import Session
 

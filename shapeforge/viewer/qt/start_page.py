@@ -10,7 +10,8 @@ from PySide6.QtWidgets import QFrame, QPushButton, QWidget
 
 from shapeforge.viewer.actions import MESH_ENDINGS, Actions
 from shapeforge.viewer.qt.bind import Binding, native
-from shapeforge.viewer.qt.widgets import Clickable, button, clear, column, icon_label, label, row, set_style
+from shapeforge.viewer.qt.controls import Clickable
+from shapeforge.viewer.qt.widgets import button, clear, column, icon_label, label, row, set_style
 from shapeforge.viewer.recent import recent_projects
 
 _WAYS = (

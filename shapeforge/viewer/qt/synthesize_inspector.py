@@ -12,14 +12,13 @@ from shapeforge.synthesis.union import solid_modeller
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.palette import as_hex
 from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.controls import Choice, Switch
 from shapeforge.viewer.qt.icons import refresh, set_icon
 from shapeforge.viewer.qt.stale_note import stale_note
 from shapeforge.viewer.qt.synthesize_parts import DirectionRow, FamilyMap
 from shapeforge.viewer.qt.synthesize_sections import DrawSection, MeshSection
 from shapeforge.viewer.qt.widgets import (
-    Choice,
     Swatch,
-    Switch,
     button,
     clear,
     column,
