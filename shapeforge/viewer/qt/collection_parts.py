@@ -221,7 +221,8 @@ class ProblemList(QWidget):
         problems = sorted(project.problems, key=lambda problem: problem.kind)
         by_source = {project.shape_record(name)["source"]: name for name in project.names}
         errors = sum(problem.kind == "error" for problem in problems)
-        self.read_count.setText(f"{len(project.names)} of {len(project.names) + errors} read")
+        total = len(project.names) + errors
+        self.read_count.setText(f"{len(project.names)} of {total} read" if total else "")
         self.copy.setVisible(bool(problems))
         of_file: dict[str, list[Problem]] = {}
         for problem in problems:

@@ -118,7 +118,7 @@ class CorrespondencePlace:
         self.before = action_button(self.actions, "previous_page", self.binding, text="", kind="tool")
         self.after = action_button(self.actions, "next_page", self.binding, text="", kind="tool")
         home = action_button(self.actions, "home_lightbox", self.binding, text="", kind="tool")
-        self.hint = ElidedLabel(HINTS[False], "off")
+        self.hint = ElidedLabel(HINTS[False], "text2")
         self.toolbar_widget = framed(
             row(
                 self.colour, self.sorting, self.showing, self.before, self.after, 4, self.hint, home,

@@ -199,11 +199,11 @@ class LandmarkStrip(QFrame):
             self.cards.addWidget(card)
         if not self.marks:
             self.cards.addWidget(
-                label("Pick a point and keep it: it is placed once and carried to every shape.", "off")
+                label("Pick a point and keep it: it is placed once and carried to every shape.", "text2")
             )
         self.cards.addStretch(1)
         self.strip_count.setText(
-            f"{len(self.marks)} placed once, carried to {len(self.box.names)} shapes" if self.marks else ""
+            f"{len(self.marks)} placed once, carried to every shape that has the part" if self.marks else ""
         )
         refresh(self, self.session.theme)
 

@@ -377,10 +377,12 @@ class PaintPlace:
         return can_fit(session, self.painter)
 
     def fit_family(self, session: Session) -> None:
-        """Go to Fit, and begin."""
+        """Go to Fit, and begin; a fit that can be taken up again with the paint of now goes on from where it is."""
         self._save()
         session.place = "fit"
-        if "fit" in self.actions and self.actions.verdict("fit")[0]:
+        if self.actions.verdict("refit")[0]:
+            self.actions.run("refit")
+        elif "fit" in self.actions and self.actions.verdict("fit")[0]:
             self.actions.start_stage("fit")
 
     def _show_next(self) -> None:

@@ -111,7 +111,7 @@ class NextSection(QFrame):
         )
 
     def show_next(self, verdict: tuple[bool, str], present: str | None) -> None:
-        """Say whether the family can be fitted and, if not, why; ``present`` is the shape being painted."""
+        """Say whether the family can be fitted, or its fit taken up again, and, if not, why; ``present`` is painted."""
         if self.session.project is None:
             return
         can, why = verdict
@@ -119,7 +119,9 @@ class NextSection(QFrame):
         done = (
             "The fit starts from the proposed parts; paint is evidence." if proposed else "Every exemplar is painted."
         )
-        self.fit_why.setText(done if can else why)
+        again = can and self.actions.verdict("refit")[0]
+        self.fit.setText("Refit from here" if again else "Fit the family")
+        self.fit_why.setText("The fit is taken up again with this paint." if again else done if can else why)
         self.fit_icon.setVisible(not can)
         following = None if proposed else next_to_paint(self.session)
         self.go_exemplar.setVisible(following is not None and following != present)

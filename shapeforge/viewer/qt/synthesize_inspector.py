@@ -80,7 +80,7 @@ class SynthesizeInspector(QFrame):
             )
         )
         self.part_rows = column(spacing=8)
-        self.part_note = label("", "caption_off", wrap=True)
+        self.part_note = label("", "caption", wrap=True)
         self.part_to_take = Choice("", (), "", tooltip="A part to take from a shape of your choice")
         self.part_to_take.chosen.connect(lambda part: self._show_taken(int(part)))
         self.take_from = Choice("", (), "", tooltip="The shape whose part is bent to this place")
