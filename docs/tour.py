@@ -235,6 +235,7 @@ class Tour(Hands):
         """A shape drawn from what was learned."""
         self.open(project, theme, SMALL)
         place = self.go("synthesize")
+        self.meshed(place)
         self.key("R")
         self.meshed(place)
         self.key("R")
@@ -255,6 +256,7 @@ class Tour(Hands):
         """A shape of the family as a new closed surface around its points."""
         self.open(project, theme, SMALL)
         place = self.go("synthesize")
+        self.meshed(place)
         self.key("B")
         self.meshed(place)
         made = place.inspector.mesh

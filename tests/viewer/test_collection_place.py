@@ -341,7 +341,7 @@ def test_a_first_import_names_the_files_as_they_are_read(open_window, meshes, tm
     place.binding.on(("progress",), look, now=False)
     window.actions_table.import_shapes((folder,))
     qtbot.waitUntil(lambda: not session.running, timeout=120000)
-    assert {"Reading 2 of 4", "Reading 3 of 4"} <= {title for title, *_ in told}
+    assert {"2 of 4 read", "3 of 4 read"} <= {title for title, *_ in told}
     assert all(any(line.startswith(f"{name}: ") and sign == "check" for _, line, sign in told) for name in names)
     assert any("notes.obj" in line and sign == "error" for _, line, sign in told)
     assert not note.isVisible() and len(place.map.content.names) == 3

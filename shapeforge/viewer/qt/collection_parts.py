@@ -63,9 +63,10 @@ class CollectionStrip(QWidget):
         self.next.setLayoutDirection(Qt.LayoutDirection.RightToLeft)
         set_icon(self.next, "right", "on_accent")
         self.next.clicked.connect(self._press_next)
+        self.line = separator(vertical=True)
         top = row(
             self.strip_title, self.strip_count, None, self.done_icon, self.status, self.bar, self.stop, 4,
-            separator(vertical=True), 4, self.next, margins=(PADDING, 0, PADDING, 0),
+            self.line, 4, self.next, margins=(PADDING, 0, PADDING, 0),
         )  # fmt: skip
         self.cards = row(None, spacing=8, margins=(PADDING, 0, PADDING, 0))
         inside = QWidget()
@@ -133,7 +134,8 @@ class CollectionStrip(QWidget):
         running = session.running
         self.bar.setVisible(running)
         self.stop.setVisible(running)
-        self.next.setVisible(not running)
+        for one in (self.line, self.next):
+            one.setVisible(not running)
         self.done_icon.setVisible(not running and bool(session.status))
         if running and progress is not None:
             self.bar.setRange(0, 1000)

@@ -21,19 +21,18 @@ class ReadingNote(QWidget):
         self.session = session
         self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.title, self.words = label("", "title"), label("", "text2")
-        for one in (self.title, self.words):
-            one.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.read: list[tuple[str, str]] = []
         self.lines = [(icon_label("check", "ok", 14), ElidedLabel("", "text2")) for _ in range(LINES)]
-        files = QWidget()
-        files.setFixedWidth(WIDTH)
-        files.setFixedHeight(LINES * 24)
+        self.files = QWidget()
+        self.files.setFixedHeight(LINES * 24)
         listed = [row(sign, name, spacing=8) for sign, name in self.lines]
         for line, (_, name) in zip(listed, self.lines, strict=True):
             line.setStretchFactor(name, 1)
-        files.setLayout(column(*listed, None, spacing=6))
-        self.files = files
-        self.setLayout(column(None, self.title, self.words, 8, row(None, files, None), None, spacing=6))
+        self.files.setLayout(column(*listed, None, spacing=6))
+        block = QWidget()
+        block.setFixedWidth(WIDTH)
+        block.setLayout(column(self.title, self.words, 8, self.files, spacing=6))
+        self.setLayout(column(None, row(None, block, None), None, spacing=0))
 
     def show_now(self, shapes: bool) -> None:
         """Show how far the reading is; nothing where ``shapes`` are seen (an import under way has some before)."""
@@ -50,11 +49,13 @@ class ReadingNote(QWidget):
             if said not in self.read[:1]:
                 self.read = [said, *self.read][:LINES]
         self.files.setVisible(session.running)
+        for one in (self.title, self.words):  # in a line with the names
+            one.setAlignment(Qt.AlignmentFlag.AlignLeft if session.running else Qt.AlignmentFlag.AlignHCenter)
         if not session.running:
             self.title.setText("No shapes yet")
             self.words.setText("Import some, or drop files or a folder here.")
         elif reading and progress.of:
-            self.title.setText(f"Reading {min(progress.step + 1, progress.of)} of {progress.of}")
+            self.title.setText(f"{progress.step} of {progress.of} read")
             self.words.setText("The shapes appear here when all of them are read.")
         else:
             self.title.setText("Looking for files…")

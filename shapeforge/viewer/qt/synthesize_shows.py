@@ -21,7 +21,7 @@ from shapeforge.viewer.sculptor import Recipe
 
 SPIN_MS, SPIN_DEGREES = 40, 2.0
 CARDS, COLUMNS = 12, (2, 3, 4, 6)
-CARD, GAP, NAME = (188, 150), 12, 28  # pixels: the smallest picture, between cards, below the picture
+CARD, GAP, NAME = (174, 138), 12, 28  # pixels: the smallest picture, between cards, below the picture
 
 
 class Spin:
