@@ -24,13 +24,16 @@ SHAPES, POINTS = 20, 1500
 IN_DOCS = (
     "collection-dark", "paint-dark", "fit-dark", "correspondence-dark", "synthesize-dark",
     "collection-light", "fit-light", "correspondence-light", "synthesize-light", "correspondence-large",
+    "preview-dark", "refit-dark", "gallery-dark", "surface-dark",
 )  # fmt: skip
 
 STATES = (
-    "start", "problems", "unpainted", "busy", "random", "grid", "landmarks", "unsure", "stale", "failed",
-    "large", "turning",
+    "start", "preview", "reading", "problems", "unpainted", "busy", "refit", "random", "gallery", "surface", "grid",
+    "landmarks", "unsure", "stale", "failed", "large", "turning",
 )  # fmt: skip
-"""What ``--all`` adds."""
+"""Other states than the places after a full run; ``--all`` makes all of their pictures."""
+NEW = ("preview", "problems", "unpainted")
+"""Those that are seen in a project that has just been imported."""
 
 
 def make_project(folder: Path) -> Path:
@@ -87,9 +90,12 @@ class Tour(Hands):
     # -- places ----------------------------------------------------------------------------------------------------
 
     def collection(self) -> None:
-        """The map with all its pictures, one shape selected and the pointer on another."""
+        """The map with all its pictures, one shape selected."""
         place = self.go("collection")
         self.pause(0.5)
+        names = self.window.session.project.names
+        self.click(place.map, place.map.at(len(names) // 2).toTuple())
+        self.hover(place.map, (2, 2))
         self.wait(lambda: place.pictures.waiting == 0, "the pictures of the map")
         self.pause(0.6)
 
@@ -142,28 +148,57 @@ class Tour(Hands):
     def synthesize(self) -> None:
         """A shape between two of the family, its first slider pulled to the right."""
         place = self.go("synthesize")
-        self.settled(place.view)
+        self.meshed(place)
         self.key("B")
+        self.meshed(place)
         slider = place.inspector.rows[0].slider
         middle, y = slider.width() / 2, slider.height() - 8
         self.drag(slider, [(slider.x_of(slider.value), y), (middle + 20, y), (middle + 40, y)])
+        self.meshed(place)
+
+    def meshed(self, place: Any) -> None:
+        """Wait until the shape in hand has its mesh, and its picture in the history."""
+        self.pause(0.2)
         self.wait(lambda: place.made is not None and not place.made.preview, "a mesh")
         self.settled(place.view)
+        self.wait(lambda: place.thumbnails.waiting == 0, "the pictures of the history")
 
     # -- other states ----------------------------------------------------------------------------------------------
 
     def others(self, project: Path, only: str) -> None:
-        """Empty, busy and failed states."""
-        fresh = make_fresh(self.scratch / "fresh")
-        for theme in ("dark", "light"):
-            for state in STATES:
-                if only in (name := f"{state}-{theme}"):
-                    getattr(self, state)(fresh if state in ("problems", "unpainted") else project, theme)
-                    self.picture(name)
+        """Empty, busy and failed states, and what places show besides."""
+        wanted = [
+            (state, theme, name) for theme in ("dark", "light") for state in STATES
+            if self.wanted(name := f"{state}-{theme}") and only in name
+        ]  # fmt: skip
+        fresh = make_fresh(self.scratch / "fresh") if any(state in NEW for state, *_ in wanted) else project
+        for state, theme, name in wanted:
+            getattr(self, state)(fresh if state in NEW else project, theme)
+            self.picture(name)
 
     def start(self, _project: Path, theme: str) -> None:
         """No project yet."""
         self.open(None, theme, SMALL)
+
+    def preview(self, project: Path, theme: str) -> None:
+        """What is in the files, before they are imported: two cannot be read."""
+        self.open(project, theme, SMALL)
+        self.window.actions_table.offer_import((project.parent / "files",))
+        dialog = self.window.import_dialog
+        self.wait(lambda: dialog.done_reading, "the files")
+        self.pause(0.3)
+        self.wait(lambda: dialog.pictures.waiting == 0, "the pictures of the files")
+
+    def reading(self, project: Path, theme: str) -> None:
+        """A first import, held after the third file."""
+        from shapeforge.store import Project
+
+        self.open(None, theme, SMALL)
+        session = self.window.session
+        session.open(Project.create(self.scratch / f"reading-{theme}" / "chairs"))
+        self.window.actions_table.import_shapes((project.parent / "meshes",))
+        self.wait(lambda: session.progress is not None and session.progress.step >= 3, "the third file")
+        self.window.control("pause")
 
     def problems(self, project: Path, theme: str) -> None:
         """Files that were not read are named."""
@@ -186,14 +221,48 @@ class Tour(Hands):
         self.pause(0.3)
         self.settled(place.view)
 
+    def refit(self, project: Path, theme: str) -> None:
+        """A shape was corrected since the fit: it can be taken up again from where it is."""
+        self.open(project, theme, SMALL)
+        session = self.window.session
+        family, exemplars = session.project, {int(t) for t in session.project.groups.exemplars}
+        session.shape = name = next(name for t, name in enumerate(family.names) if t not in exemplars)
+        family.set_labels(name, family.face_labels(name))
+        session.touch("labels")
+        self.fit()
+
     def random(self, project: Path, theme: str) -> None:
         """A shape drawn from what was learned."""
         self.open(project, theme, SMALL)
         place = self.go("synthesize")
+        self.meshed(place)
         self.key("R")
+        self.meshed(place)
         self.key("R")
-        self.wait(lambda: place.made is not None and not place.made.preview, "a mesh")
-        self.settled(place.view)
+        self.meshed(place)
+
+    def gallery(self, project: Path, theme: str) -> None:
+        """A dozen draws, all of them meshes."""
+        self.open(project, theme, SMALL)
+        place = self.go("synthesize")
+        self.meshed(place)
+        self.key("G")
+        gallery = place.shows.gallery
+        self.wait(lambda: len(gallery.made) == len(gallery.cards), "the meshes of the gallery")
+        self.pause(0.3)
+        self.wait(lambda: place.thumbnails.waiting == 0, "the pictures of the gallery")
+
+    def surface(self, project: Path, theme: str) -> None:
+        """A shape of the family as a new closed surface around its points."""
+        self.open(project, theme, SMALL)
+        place = self.go("synthesize")
+        self.meshed(place)
+        self.key("B")
+        self.meshed(place)
+        made = place.inspector.mesh
+        place.inspector._sections.ensureWidgetVisible(made)
+        self.click(made.route.button("surface"))
+        self.meshed(place)
 
     def grid(self, project: Path, theme: str) -> None:
         """The collection in rows; the fit as a grid is the same kind of picture."""
@@ -294,8 +363,7 @@ def main() -> int:
             tour.open(project, "dark", LARGE)
             tour.correspondence()
             tour.picture("correspondence-large")
-        if tour.everything:
-            tour.others(project, given.only)
+        tour.others(project, given.only)
         tour.close()
     finally:
         shutil.rmtree(scratch, ignore_errors=True)

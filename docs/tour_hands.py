@@ -141,8 +141,8 @@ class Hands:
         from PySide6.QtGui import QImage
 
         self.pause(0.3)
-        window = self.window
-        shot = window.windowHandle().screen().grabWindow(window.winId()).toImage()
+        window = self.window  # what stands before it is in the picture, too
+        shot = window.windowHandle().screen().grabWindow(0, *window.geometry().getRect()).toImage()
         shot = shot.convertToFormat(QImage.Format.Format_RGB888)
         image = Image.frombytes(
             "RGB", (shot.width(), shot.height()), bytes(shot.constBits()), "raw", "RGB", shot.bytesPerLine()

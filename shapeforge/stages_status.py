@@ -164,7 +164,7 @@ def unchanged_shapes(project: Project) -> frozenset[str]:
 def corrections(project: Project) -> Corrections:
     """The shapes that changed since the fit, and whether it can be taken up again with them.
 
-    By what is written down of the fit; ``stages_warm.warm_start`` looks at the fit itself.
+    By what is written down of the fit and of the exemplars in it; ``stages_warm.warm_start`` looks at all of it.
     """
     summary = (project.stage_record("fit") or {}).get("summary") or {}
     if project.current_folder("fit") is None or "painted" not in summary:
@@ -197,7 +197,25 @@ def _why_not_warm(project: Project, summary: Mapping[str, Any], found: Correctio
     if anew:
         return f"{anew[0]} is an exemplar, and was read anew since the fit."
     bare = [name for name in found.exemplars if project.label_key(name) is None]
-    return f"{bare[0]} is an exemplar, and is no longer painted." if bare else ""
+    if bare:
+        return f"{bare[0]} is an exemplar, and is no longer painted."
+    return next(filter(None, (_why_unseen(project, name) for name in found.exemplars)), "")
+
+
+def _why_unseen(project: Project, name: str) -> str:
+    """Why a fit cannot be taken up with what an exemplar's paint covers now, by the paint that the fit kept of it.
+
+    An exemplar without paint in the fit had templates of proposed parts: what these cover only the fit itself tells.
+    """
+    from shapeforge.deformation.warm import UNSEEN, much_unseen
+
+    fitted, faces = project.beliefs(name), project.labels(name)
+    if fitted is None or faces is None or not (seen := fitted.evidence >= 0).any():
+        return ""
+    on = project.shapes.named(name).face_of_point
+    if len(on) != len(seen) or len(faces) <= on.max():
+        return ""
+    return UNSEEN.format(name=name) if much_unseen(seen, faces[on] >= 0) else ""
 
 
 def difference(record: Mapping[str, Any], options: Mapping[str, Any], inputs: Mapping[str, Any]) -> str:

@@ -32,6 +32,7 @@ from shapeforge.stages_model import curve, named_split, starting_groups, startin
 from shapeforge.stages_pose import turn_by_hand
 from shapeforge.stages_refine import judging_shapes, machine_prior, on_template
 from shapeforge.stages_status import Corrections, corrections, options_of
+from shapeforge.stages_warm import warm_start
 from shapeforge.store import Project
 from shapeforge.workers import Workers
 
@@ -578,6 +579,24 @@ def test_a_refit_that_cannot_be_says_why_and_starts_anew(done: Project, family: 
     told = [progress.message for progress in run(project, "fit", warm=True, jobs=1)]
     assert any("starts anew: The parts are others" in message for message in told)
     assert project.fit().round == before
+
+
+def test_much_paint_on_what_was_bare_in_the_fit_is_known_before_a_refit(done: Project, tmp_path: Path) -> None:
+    project = copy_of(done, tmp_path / "p")
+    exemplar = project.names[project.groups.exemplars[0]]
+    whole = project.labels(exemplar)
+    bare = np.where(whole == np.bincount(whole).argmax(), -1, whole).astype(np.int32)
+    project.set_labels(exemplar, bare)
+    assert corrections(project) == Corrections((exemplar,), (exemplar,)), "paint may go"
+    last(run(project, "fit", warm=True, jobs=1))
+    project.set_labels(exemplar, whole)
+    told = corrections(project).why
+    assert told.startswith(f"Much of {exemplar} was unpainted in the fit")
+    assert warm_start(project) == (None, told), "the fit itself says the same"
+    little = bare.copy()
+    little[np.flatnonzero(bare < 0)[: len(bare) // 50]] = whole.max()
+    project.set_labels(exemplar, little)
+    assert corrections(project).why == "" and warm_start(project)[1] == ""
 
 
 def test_a_repainted_exemplar_makes_its_templates_again_and_old_rounds_keep_their_figures(

@@ -119,7 +119,10 @@ def carry_candidates(
 
 
 def _carry_shape(shape: Shape, faces: np.ndarray | None, candidates: Sequence[Candidate], known) -> tuple:
-    """One shape's candidates under the new templates; those of other exemplars stay as they are."""
+    """One shape's candidates under the new templates; those of other exemplars stay as they are, but for its paint.
+
+    Whether a shape was painted otherwise since is later told by the paint that its candidates have.
+    """
     templates, after, new = known
     own = [one for one in candidates if not one.family]
     touched = [one for one in own if one.beliefs.template in new]
@@ -130,5 +133,8 @@ def _carry_shape(shape: Shape, faces: np.ndarray | None, candidates: Sequence[Ca
     for one in touched:
         g = one.beliefs.template
         beliefs.append(carried_beliefs(shape, problem.evidence, templates[g], new[g], unpacked(one.beliefs)))
-    others = [one for one in own if one.beliefs.template not in new]
+    others = [
+        replace(one, beliefs=replace(one.beliefs, evidence=problem.evidence))
+        for one in own if one.beliefs.template not in new
+    ]  # fmt: skip
     return weighted([*others, *map(compact, weigh(problem, after, beliefs))])

@@ -34,6 +34,8 @@ MOST_UNSEEN = 0.1
 """Share of an exemplar's painted surface that may have been unpainted in the fit: where it lies on the other shapes is
 only guessed from its neighbourhood.  With a whole part of chairs unseen the labels ended worse than after a new fit."""
 
+UNSEEN = "Much of {name} was unpainted in the fit: nobody knows where that is on the other shapes."
+
 
 def gathered(state: FitState, known: Sequence[str], names: Sequence[str]) -> FitState:
     """The state of a fit of the shapes ``known`` for the shapes ``names``: those that it does not know have no
@@ -91,10 +93,15 @@ def why_not_warm(
         rows = surface_rows(state.templates[g], shapes[t])
         if rows is None:
             return f"{names[t]} is an exemplar, and was read anew since the fit."
-        painted = np.flatnonzero(_evidence(shapes[t], labels[t]) >= 0)
-        if len(painted) and np.isin(painted, rows, invert=True).mean() > MOST_UNSEEN:
-            return f"Much of {names[t]} was unpainted in the fit: nobody knows where that is on the other shapes."
+        seen = np.isin(np.arange(shapes[t].n_points), rows)
+        if much_unseen(seen, _evidence(shapes[t], labels[t]) >= 0):
+            return UNSEEN.format(name=names[t])
     return ""
+
+
+def much_unseen(seen: np.ndarray, painted: np.ndarray) -> bool:
+    """Whether too many of an exemplar's ``painted`` points (P,) are none that its templates have ``seen`` (P,)."""
+    return bool(painted.any() and (painted & ~seen).sum() > MOST_UNSEEN * painted.sum())
 
 
 def refit_templates(

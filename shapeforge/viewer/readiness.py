@@ -15,6 +15,7 @@ Verdict = tuple[bool, str]
 YES: Verdict = (True, "")
 
 _status_read: WeakKeyDictionary[Any, tuple[int, dict[str, Any]]] = WeakKeyDictionary()
+_corrections_read: WeakKeyDictionary[Any, tuple[int, Any]] = WeakKeyDictionary()
 
 
 def stage_status(session: Session) -> Mapping[str, Any]:
@@ -107,10 +108,17 @@ def rounds_text(session: Session, rounds: int) -> str:
 
 
 def corrected(session: Session) -> Corrections:
-    """The shapes that changed since the fit, and why it cannot be taken up again with them ("": it can)."""
+    """The shapes that changed since the fit, and why it cannot be taken up again with them ("": it can).
+
+    Asked again only when the project's data changed: exemplars that were painted otherwise are read for it.
+    """
     from shapeforge import stages_status
 
-    return stages_status.corrections(session.project)
+    project = session.project
+    kept = _corrections_read.get(project)
+    if kept is None or kept[0] != session.revision:
+        kept = _corrections_read[project] = (session.revision, stages_status.corrections(project))
+    return kept[1]
 
 
 _groups_read: WeakKeyDictionary[Any, tuple[Any, Any]] = WeakKeyDictionary()

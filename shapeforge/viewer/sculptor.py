@@ -173,7 +173,7 @@ class Sculptor:
         """Make the mesh of the shape in hand in another way (see :class:`Recipe`), as a new item."""
         if (route, union) == (self.recipe.route, self.recipe.union):
             return
-        self.keep("a new surface" if route == "surface" else "one solid" if union else "of parts")
+        self.keep("new surface" if route == "surface" else "one solid" if union else "of parts")
         self.recipes[self.done] = replace(self.recipe, route=route, union=union)
 
     def go_to(self, index: int) -> None:

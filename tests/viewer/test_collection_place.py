@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -17,7 +19,7 @@ from shapeforge.viewer.layout import GAP, HULL_MARGIN, hull, place_by_likeness, 
 from shapeforge.viewer.palette import GROUPS, rgb
 from shapeforge.viewer.qt.collection_panel import CollectionPlace
 from shapeforge.viewer.qt.collection_words import hover_card, typical_text
-from shapeforge.viewer.qt.widgets import Clickable, EditableName
+from shapeforge.viewer.qt.controls import Clickable, EditableName
 from tests.viewer.conftest import paint_exemplars
 
 LEFT = Qt.MouseButton.LeftButton
@@ -317,6 +319,32 @@ def test_before_grouping_there_is_a_grid_and_one_next_step(open_window, grouped,
     monkeypatch.setattr(window.actions_table.desk, "start", lambda name, make: started.append(name))
     qtbot.mouseClick(place.strip.next, LEFT)
     assert started == ["group"]
+
+
+def test_a_first_import_names_the_files_as_they_are_read(open_window, meshes, tmp_path, qtbot):
+    folder = tmp_path / "files"
+    folder.mkdir()
+    names = [f"chair_000{number}" for number in range(3)]
+    for name in names:
+        shutil.copy(meshes / f"{name}.obj", folder)
+    (folder / "notes.obj").write_text("this is no mesh\n")
+    window = open_window(Project.create(tmp_path / "new"))
+    place, session = window.places["collection"], window.session
+    note, told = place.reading, []
+    assert note.isVisible() and note.title.text() == "No shapes yet" and not note.files.isVisible()
+
+    def look() -> None:
+        sign, line = note.lines[0]
+        if note.files.isVisible():
+            told.append((note.title.text(), line.full_text(), sign.property("icon_name")))
+
+    place.binding.on(("progress",), look, now=False)
+    window.actions_table.import_shapes((folder,))
+    qtbot.waitUntil(lambda: not session.running, timeout=120000)
+    assert {"2 of 4 read", "3 of 4 read"} <= {title for title, *_ in told}
+    assert all(any(line.startswith(f"{name}: ") and sign == "check" for _, line, sign in told) for name in names)
+    assert any("notes.obj" in line and sign == "error" for _, line, sign in told)
+    assert not note.isVisible() and len(place.map.content.names) == 3
 
 
 def test_a_group_is_renamed_in_place_and_nothing_goes_stale(open_window, fitted, qtbot):

@@ -9,6 +9,7 @@ from PySide6.QtCore import Qt
 
 from shapeforge.store import Project
 from shapeforge.viewer.import_preview import likely_unit, previews, summary
+from shapeforge.viewer.palette import tokens
 from shapeforge.viewer.recent import recent_projects, remember
 from tests.viewer.test_window import drop
 
@@ -53,6 +54,15 @@ def test_every_file_is_seen_before_it_is_imported(models):
     assert words.startswith("3 of 4 can be read") and "1 seems not to stand upright" in words
 
 
+def has_tick(dialog, line: int) -> bool:
+    """Whether a tick is seen in the box before a name."""
+    table = dialog.table
+    where = table.visualItemRect(table.item(line, 0))
+    shot = table.viewport().grab(where.adjusted(0, 0, 26 - where.width(), 0)).toImage()
+    wanted = tokens(dialog.session.theme)["on_accent"].lower()
+    return any(shot.pixelColor(x, y).name() == wanted for x in range(shot.width()) for y in range(shot.height()))
+
+
 def test_a_drop_shows_what_was_found_and_imports_what_is_ticked(open_window, qtbot, models):
     window = open_window()
     drop(window, models)
@@ -70,6 +80,7 @@ def test_a_drop_shows_what_was_found_and_imports_what_is_ticked(open_window, qtb
     qtbot.mouseClick(dialog.table.viewport(), LEFT, pos=box.center())
     qtbot.keyClick(dialog.table, Qt.Key.Key_Space)
     assert dialog.start.text() == "Import 2 shapes"
+    assert has_tick(dialog, rows["a"]) and not has_tick(dialog, rows["large"])
     assert window.session.project is None
     qtbot.mouseClick(dialog.start, LEFT)
     assert window.session.running

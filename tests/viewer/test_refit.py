@@ -88,7 +88,12 @@ def test_an_exemplar_is_repainted_in_the_window_and_refitted_from_there(open_win
     assert f"Repainted: {exemplar}" in place.correction.words.text() and not place.correction.anew.isVisible()
     offered = [one.text() for one in place.report.findChildren(QPushButton) if one.isVisible()]
     assert "Refit from here" in offered and "Run it again" not in offered
-    qtbot.mouseClick(place.correction.refit, LEFT)
+    session.place = "paint"
+    again = hands.place.next.fit
+    qtbot.waitUntil(again.isVisible)
+    assert again.text() == "Refit from here"
+    qtbot.mouseClick(again, LEFT)
+    assert session.place == "fit" and session.running
     qtbot.waitUntil(lambda: not session.running, timeout=LONG)
     assert session.status_kind == "ok", session.status
     after = fitted.fit()

@@ -213,7 +213,7 @@ def test_a_new_surface_is_chosen_exported_and_taken_up_again(place, qtbot, tmp_p
     monkeypatch.setattr(from_scratch, "COARSEST", 0.03)
     inspector = place.inspector
     qtbot.mouseClick(inspector.mesh.route.button("surface"), LEFT)
-    assert place.sculptor.recipe.route == "surface" and place.sculptor.recipe.label == "a new surface"
+    assert place.sculptor.recipe.route == "surface" and place.sculptor.recipe.label == "new surface"
     wait_for_mesh(place, qtbot)
     assert not any(place.made.shape.sources) and place.made.shape.measures["open_edges"] == 0
     corners = {caption.corner: caption.lines for caption in place.view.shown.views[0].captions}
@@ -235,7 +235,7 @@ def test_a_new_surface_is_chosen_exported_and_taken_up_again(place, qtbot, tmp_p
     monkeypatch.setattr(place.actions.desk, "choose_files", lambda title, endings: (tmp_path / "new.ply.recipe.json",))
     assert place.actions.run("open_recipe")
     np.testing.assert_allclose(place.points, points, atol=1e-6)
-    assert place.sculptor.recipe.route == "surface" and place.sculptor.recipe.label == "a new surface"
+    assert place.sculptor.recipe.route == "surface" and place.sculptor.recipe.label == "new surface"
 
 
 def test_a_recipe_of_parts_brings_the_parts_sources_along(place, qtbot, tmp_path, monkeypatch):

@@ -14,18 +14,18 @@ from shapeforge.viewer.palette import rgb
 from shapeforge.viewer.qt.bind import Binding, action_button, keep_enabled
 from shapeforge.viewer.qt.collection_parts import MAP_PICTURE, CollectionStrip, ProblemList, SelectionSection
 from shapeforge.viewer.qt.collection_words import hover_card, typical_text
+from shapeforge.viewer.qt.controls import Choice, Segments
 from shapeforge.viewer.qt.group_list import GroupList
 from shapeforge.viewer.qt.group_map import GroupMap
 from shapeforge.viewer.qt.group_menus import GroupMenus
 from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.large_view import LargeView
 from shapeforge.viewer.qt.map_drawing import MapContent, group_colour
+from shapeforge.viewer.qt.reading_note import ReadingNote
 from shapeforge.viewer.qt.theme import PADDING
 from shapeforge.viewer.qt.thumbnails import Thumbnails
 from shapeforge.viewer.qt.widgets import (
-    Choice,
     Picture,
-    Segments,
     button,
     column,
     framed,
@@ -113,8 +113,9 @@ class CollectionPlace:
         return framed(bar)
 
     def _make_centre(self) -> QWidget:
-        self.hint = label(HINTS["map"], "caption_off")
-        self.count = label("", "caption_off")
+        self.hint, self.count = label(HINTS["map"], "caption"), label("", "caption")
+        self.reading = ReadingNote(self.session)
+        self.map.setLayout(column(self.reading))
         foot = framed(row(self.hint, None, self.count, margins=(PADDING, 0, PADDING, 6)), "view_foot", height=28)
         box = column(self.map, foot, spacing=0)
         box.setStretch(0, 1)
@@ -218,10 +219,8 @@ class CollectionPlace:
         groups = groups_of(self.session)
         if self.choosing:
             self.hint.setText(HINTS["choose"].format(group=groups.names[self.session.group]))
-        elif self.session.running and not self.session.project.names:
-            self.hint.setText("The shapes appear here when all of them are read.")
-        elif groups is None and not self.session.project.names:
-            self.hint.setText("No shapes yet: import some, or drop them here.")
+        elif not self.map.content.names:
+            self.hint.setText("")
         else:
             self.hint.setText(HINTS["grid" if groups is None or self.map.rows else "map"])
 
@@ -298,6 +297,7 @@ class CollectionPlace:
     def _show_progress(self) -> None:
         if self._here():
             self.strip.show_progress()
+            self.reading.show_now(bool(self.map.content.names))
             self._show_hint()
 
     # -- what the user does ----------------------------------------------------------------------------------------

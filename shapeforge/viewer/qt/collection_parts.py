@@ -13,12 +13,12 @@ from shapeforge.store import Problem
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.palette import rgb
 from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.controls import Clickable
 from shapeforge.viewer.qt.icons import refresh, set_icon
 from shapeforge.viewer.qt.map_drawing import group_colour
 from shapeforge.viewer.qt.theme import PADDING
 from shapeforge.viewer.qt.thumbnails import Thumbnails
 from shapeforge.viewer.qt.widgets import (
-    Clickable,
     ElidedLabel,
     Picture,
     button,
@@ -63,9 +63,10 @@ class CollectionStrip(QWidget):
         self.next.setLayoutDirection(Qt.LayoutDirection.RightToLeft)
         set_icon(self.next, "right", "on_accent")
         self.next.clicked.connect(self._press_next)
+        self.line = separator(vertical=True)
         top = row(
             self.strip_title, self.strip_count, None, self.done_icon, self.status, self.bar, self.stop, 4,
-            separator(vertical=True), 4, self.next, margins=(PADDING, 0, PADDING, 0),
+            self.line, 4, self.next, margins=(PADDING, 0, PADDING, 0),
         )  # fmt: skip
         self.cards = row(None, spacing=8, margins=(PADDING, 0, PADDING, 0))
         inside = QWidget()
@@ -133,7 +134,8 @@ class CollectionStrip(QWidget):
         running = session.running
         self.bar.setVisible(running)
         self.stop.setVisible(running)
-        self.next.setVisible(not running)
+        for one in (self.line, self.next):
+            one.setVisible(not running)
         self.done_icon.setVisible(not running and bool(session.status))
         if running and progress is not None:
             self.bar.setRange(0, 1000)
@@ -221,7 +223,8 @@ class ProblemList(QWidget):
         problems = sorted(project.problems, key=lambda problem: problem.kind)
         by_source = {project.shape_record(name)["source"]: name for name in project.names}
         errors = sum(problem.kind == "error" for problem in problems)
-        self.read_count.setText(f"{len(project.names)} of {len(project.names) + errors} read")
+        total = len(project.names) + errors
+        self.read_count.setText(f"{len(project.names)} of {total} read" if total else "")
         self.copy.setVisible(bool(problems))
         of_file: dict[str, list[Problem]] = {}
         for problem in problems:

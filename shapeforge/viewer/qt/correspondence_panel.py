@@ -11,16 +11,11 @@ from shapeforge.viewer.actions import YES, Action, Actions
 from shapeforge.viewer.lightbox import Lightbox
 from shapeforge.viewer.picking import Pick
 from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.controls import Choice
 from shapeforge.viewer.qt.correspondence_keys import PointKeys
 from shapeforge.viewer.qt.landmark_strip import LandmarkStrip
 from shapeforge.viewer.qt.point_inspector import PointInspector
-from shapeforge.viewer.qt.widgets import (
-    Choice,
-    ElidedLabel,
-    column,
-    framed,
-    row,
-)
+from shapeforge.viewer.qt.widgets import ElidedLabel, column, framed, row
 from shapeforge.viewer.session import Session
 
 COUNTS = ("4", "6", "9", "12", "16", "20")
@@ -123,7 +118,7 @@ class CorrespondencePlace:
         self.before = action_button(self.actions, "previous_page", self.binding, text="", kind="tool")
         self.after = action_button(self.actions, "next_page", self.binding, text="", kind="tool")
         home = action_button(self.actions, "home_lightbox", self.binding, text="", kind="tool")
-        self.hint = ElidedLabel(HINTS[False], "off")
+        self.hint = ElidedLabel(HINTS[False], "text2")
         self.toolbar_widget = framed(
             row(
                 self.colour, self.sorting, self.showing, self.before, self.after, 4, self.hint, home,

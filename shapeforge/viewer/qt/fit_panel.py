@@ -20,6 +20,7 @@ from shapeforge.viewer.fit_display import (
 from shapeforge.viewer.fit_record import WATCHED_AT_MOST, FitRecord, look_at, moved_text
 from shapeforge.viewer.picking import Pick
 from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.controls import Choice, Segments
 from shapeforge.viewer.qt.fit_keys import fit_actions
 from shapeforge.viewer.qt.fit_pictures import FitPictures
 from shapeforge.viewer.qt.fit_report import FitReport
@@ -28,19 +29,7 @@ from shapeforge.viewer.qt.fit_widgets import AlsoWatching, show_legend
 from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.stale_note import stale_note
 from shapeforge.viewer.qt.theme import PADDING
-from shapeforge.viewer.qt.widgets import (
-    Choice,
-    ElidedLabel,
-    Segments,
-    button,
-    column,
-    framed,
-    grouped,
-    label,
-    row,
-    separator,
-    shortened,
-)
+from shapeforge.viewer.qt.widgets import ElidedLabel, button, column, framed, grouped, label, row, separator, shortened
 from shapeforge.viewer.readiness import QUALITIES, chosen_quality, planned_rounds, rounds_text
 from shapeforge.viewer.session import Session
 

@@ -12,8 +12,9 @@ from PySide6.QtWidgets import QBoxLayout, QFrame, QWidget
 from shapeforge.viewer.fit_display import FULL_HEAT, TemplateLook, all_points, to_plane
 from shapeforge.viewer.fit_record import FitRecord, look_at, moved_text
 from shapeforge.viewer.palette import SWITCHED_OFF, as_hex, tokens
+from shapeforge.viewer.qt.controls import Choice
 from shapeforge.viewer.qt.theme import PADDING, colours, font
-from shapeforge.viewer.qt.widgets import Choice, Swatch, clear, column, label, row
+from shapeforge.viewer.qt.widgets import Swatch, clear, column, label, row
 from shapeforge.viewer.session import Session
 
 

@@ -10,10 +10,11 @@ from PySide6.QtWidgets import QWidget
 
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.controls import Clickable, EditableName
 from shapeforge.viewer.qt.icons import set_icon
 from shapeforge.viewer.qt.map_drawing import group_colour
 from shapeforge.viewer.qt.theme import PADDING
-from shapeforge.viewer.qt.widgets import Clickable, EditableName, Picture, Swatch, button, clear, column, label, row
+from shapeforge.viewer.qt.widgets import Picture, Swatch, button, clear, column, label, row
 from shapeforge.viewer.readiness import groups_of, needs_rest
 from shapeforge.viewer.regroup import rename_group
 from shapeforge.viewer.session import Session

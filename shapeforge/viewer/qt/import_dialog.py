@@ -6,12 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from PySide6.QtCore import QModelIndex, QObject, QPersistentModelIndex, QSize, Qt, Signal
-from PySide6.QtGui import QIcon
+from PySide6.QtCore import QModelIndex, QObject, QPersistentModelIndex, QPoint, QSize, Qt, Signal
+from PySide6.QtGui import QIcon, QPainter
 from PySide6.QtWidgets import (
     QAbstractItemView,
     QDialog,
     QHeaderView,
+    QStyle,
     QStyledItemDelegate,
     QStyleOptionViewItem,
     QTableWidget,
@@ -23,14 +24,16 @@ from shapeforge.viewer.import_preview import FilePreview, previews, size_words, 
 from shapeforge.viewer.palette import tokens
 from shapeforge.viewer.pictures import mesh_view, take_picture
 from shapeforge.viewer.qt import icons
+from shapeforge.viewer.qt.controls import Choice as Menu
+from shapeforge.viewer.qt.theme import colours
 from shapeforge.viewer.qt.thumbnails import Thumbnails
-from shapeforge.viewer.qt.widgets import Choice as Menu
 from shapeforge.viewer.qt.widgets import ElidedLabel, button, column, grouped, label, row
 from shapeforge.viewer.runner import Runner, sentence
 from shapeforge.viewer.session import Session
 
 UPS = (("auto", "guessed"), ("keep", "as in the files"), ("y", "y"), ("z", "z"), ("x", "x"))
 HEADINGS = ("File", "Faces", "Width × height × depth", "Remarks")
+TICK = 12  # pixels
 PICTURED = 20000  # faces: larger files get no picture here, it would make the list wait
 
 
@@ -39,7 +42,22 @@ class _Mail(QObject):
 
 
 class _Names(QStyledItemDelegate):
-    """Names that are too long lose their middle: what tells two files apart is often at the end."""
+    """Names that are too long lose their middle: what tells two files apart is often at the end.
+
+    The tick is drawn here: a style sheet has none but from a file.
+    """
+
+    def paint(
+        self, painter: QPainter, option: QStyleOptionViewItem, index: QModelIndex | QPersistentModelIndex
+    ) -> None:
+        super().paint(painter, option, index)
+        if Qt.CheckState(index.data(Qt.ItemDataRole.CheckStateRole) or 0) != Qt.CheckState.Checked:
+            return
+        table, shown = option.widget, QStyleOptionViewItem(option)
+        self.initStyleOption(shown, index)
+        box = table.style().subElementRect(QStyle.SubElement.SE_ItemViewItemCheckIndicator, shown, table)
+        corner = box.center() - QPoint(TICK // 2 - 1, TICK // 2 - 1)
+        painter.drawPixmap(corner, icons.pixmap("check", colours(table)["on_accent"], TICK))
 
     def initStyleOption(self, option: QStyleOptionViewItem, index: QModelIndex | QPersistentModelIndex) -> None:
         super().initStyleOption(option, index)

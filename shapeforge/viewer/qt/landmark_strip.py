@@ -17,19 +17,9 @@ from PySide6.QtWidgets import QFrame, QScrollArea, QWidget
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.lightbox import Lightbox
 from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.controls import Clickable, EditableName
 from shapeforge.viewer.qt.icons import refresh, set_icon
-from shapeforge.viewer.qt.widgets import (
-    Clickable,
-    EditableName,
-    button,
-    clear,
-    column,
-    framed,
-    icon_label,
-    label,
-    row,
-    separator,
-)
+from shapeforge.viewer.qt.widgets import button, clear, column, framed, icon_label, label, row, separator
 from shapeforge.viewer.readiness import next_step
 from shapeforge.viewer.session import Session
 
@@ -209,11 +199,11 @@ class LandmarkStrip(QFrame):
             self.cards.addWidget(card)
         if not self.marks:
             self.cards.addWidget(
-                label("Pick a point and keep it: it is placed once and carried to every shape.", "off")
+                label("Pick a point and keep it: it is placed once and carried to every shape.", "text2")
             )
         self.cards.addStretch(1)
         self.strip_count.setText(
-            f"{len(self.marks)} placed once, carried to {len(self.box.names)} shapes" if self.marks else ""
+            f"{len(self.marks)} placed once, carried to every shape that has the part" if self.marks else ""
         )
         refresh(self, self.session.theme)
 

@@ -17,6 +17,7 @@ from shapeforge.viewer.painter import BRUSH_LIMITS, TOOL_NAMES, Painter
 from shapeforge.viewer.palette import label_colours
 from shapeforge.viewer.pictures import mesh_view, take_picture
 from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.controls import Segments
 from shapeforge.viewer.qt.icons import refresh, set_icon
 from shapeforge.viewer.qt.paint_hand import PaintHand
 from shapeforge.viewer.qt.paint_keys import paint_actions
@@ -29,16 +30,7 @@ from shapeforge.viewer.qt.paint_sections import BrushSection, NextSection, scrib
 from shapeforge.viewer.qt.paint_words import blank_words, can_fit, how_to_use
 from shapeforge.viewer.qt.parts_palette import PartsPalette
 from shapeforge.viewer.qt.thumbnails import Thumbnails
-from shapeforge.viewer.qt.widgets import (
-    Segments,
-    button,
-    column,
-    framed,
-    icon_label,
-    label,
-    row,
-    scrolled,
-)
+from shapeforge.viewer.qt.widgets import button, column, framed, icon_label, label, row, scrolled
 from shapeforge.viewer.session import Session
 
 SAVE_MS = 700
@@ -385,10 +377,12 @@ class PaintPlace:
         return can_fit(session, self.painter)
 
     def fit_family(self, session: Session) -> None:
-        """Go to Fit, and begin."""
+        """Go to Fit, and begin; a fit that can be taken up again with the paint of now goes on from where it is."""
         self._save()
         session.place = "fit"
-        if "fit" in self.actions and self.actions.verdict("fit")[0]:
+        if self.actions.verdict("refit")[0]:
+            self.actions.run("refit")
+        elif "fit" in self.actions and self.actions.verdict("fit")[0]:
             self.actions.start_stage("fit")
 
     def _show_next(self) -> None:

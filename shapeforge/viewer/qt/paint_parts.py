@@ -11,11 +11,10 @@ from PySide6.QtWidgets import QAbstractButton, QApplication, QFrame, QHBoxLayout
 
 from shapeforge.viewer.painter import TOOL_NAMES
 from shapeforge.viewer.qt.colour_choice import ColourButton
+from shapeforge.viewer.qt.controls import Clickable, EditableName
 from shapeforge.viewer.qt.icons import pixmap, set_icon
 from shapeforge.viewer.qt.theme import colours, font
 from shapeforge.viewer.qt.widgets import (
-    Clickable,
-    EditableName,
     ElidedLabel,
     Picture,
     button,

@@ -9,7 +9,8 @@ from PySide6.QtWidgets import QBoxLayout, QFrame, QSlider, QWidget
 from shapeforge.viewer.actions import Actions, next_to_paint
 from shapeforge.viewer.painter import BRUSH_LIMITS, Painter
 from shapeforge.viewer.qt.bind import Binding, action_button, keep_enabled
-from shapeforge.viewer.qt.widgets import Segments, Switch, button, column, heading, icon_label, label, row, section
+from shapeforge.viewer.qt.controls import Segments, Switch
+from shapeforge.viewer.qt.widgets import button, column, heading, icon_label, label, row, section
 from shapeforge.viewer.readiness import starts_from_proposal
 from shapeforge.viewer.session import Session
 
@@ -110,7 +111,7 @@ class NextSection(QFrame):
         )
 
     def show_next(self, verdict: tuple[bool, str], present: str | None) -> None:
-        """Say whether the family can be fitted and, if not, why; ``present`` is the shape being painted."""
+        """Say whether the family can be fitted, or its fit taken up again, and, if not, why; ``present`` is painted."""
         if self.session.project is None:
             return
         can, why = verdict
@@ -118,7 +119,9 @@ class NextSection(QFrame):
         done = (
             "The fit starts from the proposed parts; paint is evidence." if proposed else "Every exemplar is painted."
         )
-        self.fit_why.setText(done if can else why)
+        again = can and self.actions.verdict("refit")[0]
+        self.fit.setText("Refit from here" if again else "Fit the family")
+        self.fit_why.setText("The fit is taken up again with this paint." if again else done if can else why)
         self.fit_icon.setVisible(not can)
         following = None if proposed else next_to_paint(self.session)
         self.go_exemplar.setVisible(following is not None and following != present)

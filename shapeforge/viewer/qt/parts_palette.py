@@ -48,7 +48,7 @@ class PartsPalette(QWidget):
         self.split = action_button(actions, "split_part", binding, icon=False)
         self.remove = action_button(actions, "remove_part", binding, icon=False)
         self.propose = action_button(actions, "cosegment", binding)
-        self.hint = label("", "caption_off", wrap=True)
+        self.hint = label("", "caption", wrap=True)
         buttons = row(self.new, self.merge, self.split, self.remove, spacing=6)
         for place in range(4):
             buttons.setStretch(place, 1)

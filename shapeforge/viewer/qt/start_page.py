@@ -10,7 +10,8 @@ from PySide6.QtWidgets import QFrame, QPushButton, QWidget
 
 from shapeforge.viewer.actions import MESH_ENDINGS, Actions
 from shapeforge.viewer.qt.bind import Binding, native
-from shapeforge.viewer.qt.widgets import Clickable, button, clear, column, icon_label, label, row, set_style
+from shapeforge.viewer.qt.controls import Clickable
+from shapeforge.viewer.qt.widgets import button, clear, column, icon_label, label, row, set_style, shortened
 from shapeforge.viewer.recent import recent_projects
 
 _WAYS = (
@@ -85,7 +86,9 @@ class StartPage(QWidget):
         paths = recent_projects()[:4]
         self.recent.addWidget(label("Opened before:" if paths else "Projects you open are listed here.", "caption"))
         for path in paths:
-            link = button(path.name if len(path.name) < 24 else f"{path.name[:22]}…", kind="link", tooltip=str(path))
+            alike = sum(other.name == path.name for other in paths) > 1
+            name = f"{path.parent.name}/{path.name}" if alike else path.name
+            link = button(shortened(name, 24), kind="link", tooltip=str(path))
             link.clicked.connect(lambda _=False, path=path: self._open(path))
             self.recent.addWidget(link)
             self.recent_links[path] = link

@@ -7,7 +7,8 @@ from typing import Any
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QFrame, QSlider
 
-from shapeforge.viewer.qt.widgets import Choice, Picture, button, label, row
+from shapeforge.viewer.qt.controls import Choice
+from shapeforge.viewer.qt.widgets import Picture, button, label, row
 from shapeforge.viewer.sculptor import Recipe
 
 AB_STEPS = 100

@@ -12,14 +12,13 @@ from shapeforge.synthesis.union import solid_modeller
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.palette import as_hex
 from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.controls import Choice, Switch
 from shapeforge.viewer.qt.icons import refresh, set_icon
 from shapeforge.viewer.qt.stale_note import stale_note
 from shapeforge.viewer.qt.synthesize_parts import DirectionRow, FamilyMap
 from shapeforge.viewer.qt.synthesize_sections import DrawSection, MeshSection
 from shapeforge.viewer.qt.widgets import (
-    Choice,
     Swatch,
-    Switch,
     button,
     clear,
     column,
@@ -81,7 +80,7 @@ class SynthesizeInspector(QFrame):
             )
         )
         self.part_rows = column(spacing=8)
-        self.part_note = label("", "caption_off", wrap=True)
+        self.part_note = label("", "caption", wrap=True)
         self.part_to_take = Choice("", (), "", tooltip="A part to take from a shape of your choice")
         self.part_to_take.chosen.connect(lambda part: self._show_taken(int(part)))
         self.take_from = Choice("", (), "", tooltip="The shape whose part is bent to this place")

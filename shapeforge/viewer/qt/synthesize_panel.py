@@ -16,6 +16,7 @@ from shapeforge.viewer.display import View
 from shapeforge.viewer.mesh_worker import Made, MeshWorker, Wish
 from shapeforge.viewer.pictures import take_picture
 from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.controls import Segments
 from shapeforge.viewer.qt.handles import Handles
 from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.paint_parts import HistoryStrip
@@ -25,12 +26,7 @@ from shapeforge.viewer.qt.synthesize_inspector import SynthesizeInspector
 from shapeforge.viewer.qt.synthesize_sections import not_learnt
 from shapeforge.viewer.qt.synthesize_shows import Shows
 from shapeforge.viewer.qt.thumbnails import Thumbnails
-from shapeforge.viewer.qt.widgets import (
-    Segments,
-    column,
-    framed,
-    row,
-)
+from shapeforge.viewer.qt.widgets import column, framed, row
 from shapeforge.viewer.sculptor import Recipe, Sculptor
 from shapeforge.viewer.sculpture import display, heated
 from shapeforge.viewer.session import Session

@@ -7,7 +7,8 @@ from PySide6.QtWidgets import QWidget
 
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.qt.bind import ENABLING, Binding, action_button
-from shapeforge.viewer.qt.widgets import Segments, Switch, column, framed, label, row, section
+from shapeforge.viewer.qt.controls import Segments, Switch
+from shapeforge.viewer.qt.widgets import column, framed, label, row, section
 from shapeforge.viewer.session import Session
 
 TEMPERATURES = (("0.6", "Less", ""), ("1.0", "Usual", ""), ("1.5", "More", ""))

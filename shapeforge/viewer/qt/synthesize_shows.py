@@ -13,14 +13,15 @@ from PySide6.QtGui import QPixmap
 from PySide6.QtWidgets import QFrame, QGridLayout, QWidget
 
 from shapeforge.viewer.mesh_worker import Made, Wish
+from shapeforge.viewer.qt.controls import Clickable
 from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.view3d import View3D
-from shapeforge.viewer.qt.widgets import Clickable, ElidedLabel, Picture, button, column, framed, label, row, scrolled
+from shapeforge.viewer.qt.widgets import ElidedLabel, Picture, button, column, framed, label, row, scrolled
 from shapeforge.viewer.sculptor import Recipe
 
 SPIN_MS, SPIN_DEGREES = 40, 2.0
 CARDS, COLUMNS = 12, (2, 3, 4, 6)
-CARD, GAP, NAME = (188, 150), 12, 28  # pixels: the smallest picture, between cards, below the picture
+CARD, GAP, NAME = (174, 138), 12, 28  # pixels: the smallest picture, between cards, below the picture
 
 
 class Spin:

@@ -54,6 +54,7 @@ def _metrics() -> dict[str, int]:
 _TEMPLATE = """
 * {{ font-size: 13px; color: {text}; outline: none; }}
 QWidget#root, QWidget#rail, QDialog {{ background: {window}; }}
+QDialog {{ border: 1px solid {separator_strong}; }}
 QWidget#rail {{ border-right: 1px solid {separator}; }}
 QWidget#header {{ background: {panel}; border-bottom: 1px solid {separator}; }}
 QWidget#toolrow {{ background: {panel}; border-bottom: 1px solid {separator}; }}
