@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from shapeforge.collection.materials import PLAIN
-from shapeforge.synthesis.bending import BentPart, bend, count_folds, start_part, unfolded
+from shapeforge.synthesis.bending import BentPart, bend, start_part, unfolded
 from shapeforge.synthesis.contacts import (
     SLACK,
     carry_along,
@@ -147,7 +147,7 @@ def _misses(part: BentPart) -> np.ndarray:
 
 def _faults(bent: Mapping[int, BentPart], apart: Mapping, deep: Mapping) -> float:
     """What is wrong with the parts as they are, in diagonals: a round that mends one contact may spoil another."""
-    folds = sum(count_folds(part, part.x) for part in bent.values())
+    folds = sum(part.folds for part in bent.values())
     return sum(new for _, new in apart.values()) + sum(deep.values()) + FOLD * folds
 
 

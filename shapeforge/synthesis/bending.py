@@ -53,6 +53,11 @@ class BentPart:
         """The bent part as a mesh."""
         return self.source.surface.moved(self.vertices)
 
+    @cached_property
+    def folds(self) -> int:
+        """Folds as bent so far, beyond those of the part's own mesh (see :func:`inverted_pairs`)."""
+        return inverted_triangles(self.affine, self.vertices, self.source.triangles, self.source.neighbours)
+
 
 def start_part(source: SourcePart, points: Float[np.ndarray, "K 3"]) -> BentPart | None:
     """The part under its affine pre-alignment, each larger piece under its own; None without targets."""
@@ -103,7 +108,7 @@ def bend(part: BentPart, held: Mapping[int, np.ndarray], *, preview: bool) -> Be
         if normal is not None:
             normal += ANCHOR_STRENGTH * (rows[1].T @ rows[1]).toarray()
     matrix = vstack(rows, format="csr")
-    fewest, best = np.inf, part.x
+    best = None
     for factor in STIFFER[:1] if preview else STIFFER:
         weights = Weights(regular=factor * Weights.regular)
         problem = Problem(
@@ -112,18 +117,12 @@ def bend(part: BentPart, held: Mapping[int, np.ndarray], *, preview: bool) -> Be
         x = part.x
         for state in (solve_quickly if preview else solve_exactly)(problem, x):
             x = state.x
-        folds = 0 if preview else count_folds(part, x)
-        if folds < fewest:
-            fewest, best = folds, x
-        if fewest == 0:
+        found = replace(part, x=x)
+        if best is None or (found.folds < best.folds):
+            best = found
+        if preview or best.folds == 0:
             break
-    return replace(part, x=best)
-
-
-def count_folds(part: BentPart, x: Float[np.ndarray, "M 3"]) -> int:
-    """Folds of the part bent by the unknowns ``x``, beyond those of its mesh (see :func:`inverted_triangles`)."""
-    source = part.source
-    return inverted_triangles(part.affine, source.rows @ x, source.triangles, source.neighbours)
+    return best
 
 
 def unfolded(part: BentPart) -> Float[np.ndarray, "V 3"]:
@@ -132,6 +131,8 @@ def unfolded(part: BentPart) -> Float[np.ndarray, "V 3"]:
     The affine map folds nothing, and displacements from it that are alike don't either.  The least folded is kept.
     """
     source, vertices = part.source, part.vertices
+    if part.folds == 0:
+        return vertices
     best, fewest, n = vertices, np.inf, len(vertices)
     ends = np.concatenate([source.triangles[:, [0, 1]], source.triangles[:, [1, 2]], source.triangles[:, [2, 0]]])
     joined = csr_array((np.ones(2 * len(ends)), np.concatenate([ends, ends[:, ::-1]]).T), shape=(n, n))
