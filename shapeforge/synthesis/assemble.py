@@ -19,7 +19,7 @@ from shapeforge.synthesis.contacts import (
     hold_contacts,
     join_islands,
 )
-from shapeforge.synthesis.measures import inverted_triangles, symmetry_error
+from shapeforge.synthesis.measures import symmetry_error
 from shapeforge.synthesis.retrieve import retrieve
 from shapeforge.synthesis.sources import Sources
 from shapeforge.synthesis.surfaces import sized_triangles
@@ -153,23 +153,25 @@ def _faults(bent: Mapping[int, BentPart], apart: Mapping, deep: Mapping) -> floa
 
 def _merge(parts: PutTogether, sources: Sources) -> SynthesizedShape:
     """All parts in one mesh, without triangles that collapsed, and its measures."""
-    bent = parts.bent
+    bent = {l: unfolded(piece) for l, piece in parts.bent.items()}
+    apart, depths = parts.gaps, parts.depths
+    if any(piece.eased is not None for piece in bent.values()):  # which may have moved a contact
+        apart, depths = contact_gaps(bent, list(apart)), contact_depths(bent, list(depths))
     vertices, triangles, part, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int32)], [np.zeros(0, np.int32)], 0
     folds, miss, colours = 0, [], [np.zeros((0, 3), np.uint8)]
     for l, piece in bent.items():
-        moved = unfolded(piece)
-        keep = sized_triangles(moved, piece.source.triangles) & piece.source.distinct
-        vertices.append(moved)
+        keep = sized_triangles(piece.vertices, piece.source.triangles) & piece.source.distinct
+        vertices.append(piece.vertices)
         triangles.append((piece.source.triangles[keep] + count).astype(np.int32))
         part.append(np.full(int(keep.sum()), l, np.int32))
         own = piece.source.colours
         colours.append(np.tile(np.uint8(PLAIN), (int(keep.sum()), 1)) if own is None else own[keep])
-        count += len(moved)
-        folds += inverted_triangles(piece.affine, moved, piece.source.triangles, piece.source.neighbours)
+        count += len(piece.vertices)
+        folds += piece.folds
         miss.append(_misses(piece))
     names = sources.part_names
-    gaps = {f"{names[l]} – {names[other]}": new for (l, other), (_, new) in parts.gaps.items()}
-    deep = {f"{names[l]} – {names[other]}": d for (l, other), d in parts.depths.items()}
+    gaps = {f"{names[l]} – {names[other]}": new for (l, other), (_, new) in apart.items()}
+    deep = {f"{names[l]} – {names[other]}": d for (l, other), d in depths.items()}
     placed = np.full((len(sources.part), 3), np.nan)
     for piece in bent.values():
         placed[piece.source.template] = piece.source.handle_rows @ piece.x
@@ -177,7 +179,7 @@ def _merge(parts: PutTogether, sources: Sources) -> SynthesizedShape:
     measures = {
         "largest_gap": max(gaps.values(), default=0.0),
         "gaps": gaps,
-        "contact_gap": float(np.mean([wide for wide, _ in parts.gaps.values()])) if parts.gaps else None,
+        "contact_gap": float(np.mean([wide for wide, _ in apart.values()])) if apart else None,
         "too_deep": max(deep.values(), default=0.0),
         "depths": deep,
         "symmetry_error": symmetry_error(placed[np.isfinite(placed).all(axis=1)], plane) if bent else None,

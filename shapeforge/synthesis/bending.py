@@ -23,6 +23,8 @@ STIFFER = (1.0, 8.0, 64.0)
 """Factors of the regular term to try in turn while the bent part has folds."""
 UNFOLDINGS = 60
 """Rounds in which vertices about a fold are moved with their neighbours, at most."""
+RADII = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 1e3)
+"""Radii (diagonals) about a fold to try in turn, if that does not undo it; the last is all of the part."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +33,7 @@ class BentPart:
 
     ``affine`` are the vertices under the whole part's affine map, which folds nothing;
     ``rest`` is the pre-alignment per node; ``start`` are the graph's unknowns after the pre-alignment alone, ``x`` as
-    bent so far; ``anchors`` by other part.
+    bent so far; ``anchors`` by other part; ``eased`` are the vertices if they were moved since (see :func:`unfolded`).
     """
 
     source: SourcePart
@@ -42,11 +44,12 @@ class BentPart:
     start: Float[np.ndarray, "M 3"]
     x: Float[np.ndarray, "M 3"]
     anchors: Mapping[int, Anchors]
+    eased: Float[np.ndarray, "V 3"] | None = None
 
     @cached_property
     def vertices(self) -> Float[np.ndarray, "V 3"]:
         """Vertices as bent so far."""
-        return self.source.rows @ self.x
+        return self.source.rows @ self.x if self.eased is None else self.eased
 
     @cached_property
     def surface(self) -> Mesh:
@@ -125,14 +128,14 @@ def bend(part: BentPart, held: Mapping[int, np.ndarray], *, preview: bool) -> Be
     return best
 
 
-def unfolded(part: BentPart) -> Float[np.ndarray, "V 3"]:
-    """The part's vertices; about what is folded still, they move with their neighbours, until nothing is.
+def unfolded(part: BentPart) -> BentPart:
+    """The part with the vertices about what is folded still moved with their neighbours, until nothing is.
 
     The affine map folds nothing, and displacements from it that are alike don't either.  The least folded is kept.
     """
     source, vertices = part.source, part.vertices
     if part.folds == 0:
-        return vertices
+        return part
     best, fewest, n = vertices, np.inf, len(vertices)
     ends = np.concatenate([source.triangles[:, [0, 1]], source.triangles[:, [1, 2]], source.triangles[:, [2, 0]]])
     joined = csr_array((np.ones(2 * len(ends)), np.concatenate([ends, ends[:, ::-1]]).T), shape=(n, n))
@@ -151,4 +154,26 @@ def unfolded(part: BentPart) -> Float[np.ndarray, "V 3"]:
         for _ in range(1 + turn):
             shift = np.where(near[:, None] > 0, (shift + (joined @ shift) / degree) / 2, shift)
         vertices = part.affine + shift
+    return replace(part, eased=best if fewest == 0 else _flattened(part, best))
+
+
+def _flattened(part: BentPart, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+    """The vertices; what is about a fold is displaced from the affine map as one, in the least radius that will do.
+
+    Where a part was squeezed to nothing, displacements that are alike with their neighbours' may differ too much still.
+    """
+    best = vertices
+    pairs = fewest = inverted_pairs(part.affine, best, part.source.triangles, part.source.neighbours)
+    for radius in RADII:
+        for _ in range(len(fewest[0])):
+            middle = part.affine[part.source.triangles[pairs[0][0]]].mean(axis=0)
+            weight = np.exp(-0.5 * ((part.affine - middle) ** 2).sum(axis=1) / radius**2)[:, None]
+            shift = vertices - part.affine
+            vertices = vertices + weight * ((weight * shift).sum(axis=0) / weight.sum() - shift)
+            pairs = inverted_pairs(part.affine, vertices, part.source.triangles, part.source.neighbours)
+            if len(pairs[0]) < len(fewest[0]):
+                best, fewest = vertices, pairs
+            if not len(pairs[0]):
+                return best
+        vertices, pairs = best, fewest
     return best
