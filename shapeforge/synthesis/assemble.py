@@ -142,7 +142,7 @@ def put_together(
 def _misses(part: BentPart) -> np.ndarray:
     """Distances (diagonals) of the part's handles from where the draw has them."""
     known = np.isfinite(part.drawn).all(axis=1)
-    return np.linalg.norm(part.source.handle_rows[known] @ part.x - part.drawn[known], axis=1)
+    return np.linalg.norm(part.placed[known] - part.drawn[known], axis=1)
 
 
 def _faults(bent: Mapping[int, BentPart], apart: Mapping, deep: Mapping) -> float:
@@ -174,7 +174,7 @@ def _merge(parts: PutTogether, sources: Sources) -> SynthesizedShape:
     deep = {f"{names[l]} – {names[other]}": d for (l, other), d in depths.items()}
     placed = np.full((len(sources.part), 3), np.nan)
     for piece in bent.values():
-        placed[piece.source.template] = piece.source.handle_rows @ piece.x
+        placed[piece.source.template] = piece.placed
     plane = sources.mirror.normal, sources.mirror.place(placed, sources.part)
     measures = {
         "largest_gap": max(gaps.values(), default=0.0),

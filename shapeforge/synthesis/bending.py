@@ -52,6 +52,11 @@ class BentPart:
         return self.source.rows @ self.x if self.eased is None else self.eased
 
     @cached_property
+    def placed(self) -> Float[np.ndarray, "C 3"]:
+        """Handles as bent so far."""
+        return self.source.handle_rows @ self.x
+
+    @cached_property
     def surface(self) -> Mesh:
         """The bent part as a mesh."""
         return self.source.surface.moved(self.vertices)
