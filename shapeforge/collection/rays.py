@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from shapeforge.collection import _kernels_rays as kernels
 from shapeforge.collection.shape import Mesh
+from shapeforge.collection.surface import SearchedMesh, boxes_of
 
 try:
     from embreex.mesh_construction import TriangleMesh
@@ -20,15 +21,19 @@ def first_hits(
 ) -> Float[np.ndarray, " R"]:
     """Distance (R,) from each origin along its unit direction to the first triangle, either side of it; inf for none.
 
-    In the mesh's units, to single precision.  ``embree`` chooses the engine; None takes Embree where it is there.
+    In the mesh's units, to single precision.  ``embree`` chooses the engine; None takes Embree where it is there, and
+    the tree of a :class:`SearchedMesh`, which Embree would have to make anew.
     """
-    corners = mesh.vertices[mesh.triangles[mesh.triangle_areas > 0]].astype(np.float32)
+    if not len(mesh.triangles):
+        return np.full(len(origins), np.inf)
     if embree is None:
-        embree = EmbreeScene is not None
+        embree = EmbreeScene is not None and not isinstance(mesh, SearchedMesh)
     if not embree:
-        return kernels.first_hits(corners, *kernels.box_tree(corners), origins, directions)
+        corners, tree = boxes_of(mesh)
+        return kernels.first_hits(corners, *tree, origins, directions)
     if EmbreeScene is None:
         raise ValueError("embree: wanted the package embreex, but it is not installed")
+    corners = mesh.vertices[mesh.triangles[mesh.triangle_areas > 0]].astype(np.float32)
     scene = EmbreeScene()
     TriangleMesh(scene, corners)
     far = scene.run(origins.astype(np.float32), directions.astype(np.float32), query="DISTANCE")

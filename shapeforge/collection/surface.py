@@ -39,6 +39,11 @@ class SearchedMesh(Mesh):
         )
 
 
+def boxes_of(mesh: Mesh) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    """Corners (N, 3, 3) of the triangles and a tree over them (see ``build_tree``): kept, or made now."""
+    return mesh.boxes if isinstance(mesh, SearchedMesh) else _boxes(mesh)
+
+
 def _boxes(mesh: Mesh) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
     corners = np.ascontiguousarray(mesh.vertices[mesh.triangles], np.float64)
     return corners, _kernels_surface.build_tree(corners.min(axis=1), corners.max(axis=1), corners.mean(axis=1))
@@ -56,7 +61,7 @@ def closest_points(
     queries = np.ascontiguousarray(queries, np.float64)
     if not np.isfinite(queries).all():
         raise ValueError("queries: wanted finite positions, got NaN or infinity; leave absent points out")
-    corners, tree = mesh.boxes if isinstance(mesh, SearchedMesh) else _boxes(mesh)
+    corners, tree = boxes_of(mesh)
     positions, triangle = np.empty_like(queries), np.empty(len(queries), np.int64)
     distance = _kernels_surface.closest_points(corners, *tree, queries, positions, triangle)
     return positions, triangle, distance

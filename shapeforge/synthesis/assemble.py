@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from shapeforge.collection.materials import PLAIN
-from shapeforge.synthesis.bending import BentPart, bend, count_folds, start_part, unfolded
+from shapeforge.synthesis.bending import BentPart, bend, start_part, unfolded
 from shapeforge.synthesis.contacts import (
     SLACK,
     carry_along,
@@ -19,7 +19,7 @@ from shapeforge.synthesis.contacts import (
     hold_contacts,
     join_islands,
 )
-from shapeforge.synthesis.measures import inverted_triangles, symmetry_error
+from shapeforge.synthesis.measures import symmetry_error
 from shapeforge.synthesis.retrieve import retrieve
 from shapeforge.synthesis.sources import Sources
 from shapeforge.synthesis.surfaces import sized_triangles
@@ -142,42 +142,44 @@ def put_together(
 def _misses(part: BentPart) -> np.ndarray:
     """Distances (diagonals) of the part's handles from where the draw has them."""
     known = np.isfinite(part.drawn).all(axis=1)
-    return np.linalg.norm(part.source.handle_rows[known] @ part.x - part.drawn[known], axis=1)
+    return np.linalg.norm(part.placed[known] - part.drawn[known], axis=1)
 
 
 def _faults(bent: Mapping[int, BentPart], apart: Mapping, deep: Mapping) -> float:
     """What is wrong with the parts as they are, in diagonals: a round that mends one contact may spoil another."""
-    folds = sum(count_folds(part, part.x) for part in bent.values())
+    folds = sum(part.folds for part in bent.values())
     return sum(new for _, new in apart.values()) + sum(deep.values()) + FOLD * folds
 
 
 def _merge(parts: PutTogether, sources: Sources) -> SynthesizedShape:
     """All parts in one mesh, without triangles that collapsed, and its measures."""
-    bent = parts.bent
+    bent = {l: unfolded(piece) for l, piece in parts.bent.items()}
+    apart, depths = parts.gaps, parts.depths
+    if any(piece.eased is not None for piece in bent.values()):  # which may have moved a contact
+        apart, depths = contact_gaps(bent, list(apart)), contact_depths(bent, list(depths))
     vertices, triangles, part, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int32)], [np.zeros(0, np.int32)], 0
     folds, miss, colours = 0, [], [np.zeros((0, 3), np.uint8)]
     for l, piece in bent.items():
-        moved = unfolded(piece)
-        keep = sized_triangles(moved, piece.source.triangles) & piece.source.distinct
-        vertices.append(moved)
+        keep = sized_triangles(piece.vertices, piece.source.triangles) & piece.source.distinct
+        vertices.append(piece.vertices)
         triangles.append((piece.source.triangles[keep] + count).astype(np.int32))
         part.append(np.full(int(keep.sum()), l, np.int32))
         own = piece.source.colours
         colours.append(np.tile(np.uint8(PLAIN), (int(keep.sum()), 1)) if own is None else own[keep])
-        count += len(moved)
-        folds += inverted_triangles(piece.affine, moved, piece.source.triangles, piece.source.neighbours)
+        count += len(piece.vertices)
+        folds += piece.folds
         miss.append(_misses(piece))
     names = sources.part_names
-    gaps = {f"{names[l]} – {names[other]}": new for (l, other), (_, new) in parts.gaps.items()}
-    deep = {f"{names[l]} – {names[other]}": d for (l, other), d in parts.depths.items()}
+    gaps = {f"{names[l]} – {names[other]}": new for (l, other), (_, new) in apart.items()}
+    deep = {f"{names[l]} – {names[other]}": d for (l, other), d in depths.items()}
     placed = np.full((len(sources.part), 3), np.nan)
     for piece in bent.values():
-        placed[piece.source.template] = piece.source.handle_rows @ piece.x
+        placed[piece.source.template] = piece.placed
     plane = sources.mirror.normal, sources.mirror.place(placed, sources.part)
     measures = {
         "largest_gap": max(gaps.values(), default=0.0),
         "gaps": gaps,
-        "contact_gap": float(np.mean([wide for wide, _ in parts.gaps.values()])) if parts.gaps else None,
+        "contact_gap": float(np.mean([wide for wide, _ in apart.values()])) if apart else None,
         "too_deep": max(deep.values(), default=0.0),
         "depths": deep,
         "symmetry_error": symmetry_error(placed[np.isfinite(placed).all(axis=1)], plane) if bent else None,

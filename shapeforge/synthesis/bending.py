@@ -23,6 +23,8 @@ STIFFER = (1.0, 8.0, 64.0)
 """Factors of the regular term to try in turn while the bent part has folds."""
 UNFOLDINGS = 60
 """Rounds in which vertices about a fold are moved with their neighbours, at most."""
+RADII = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 1e3)
+"""Radii (diagonals) about a fold to try in turn, if that does not undo it; the last is all of the part."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +33,7 @@ class BentPart:
 
     ``affine`` are the vertices under the whole part's affine map, which folds nothing;
     ``rest`` is the pre-alignment per node; ``start`` are the graph's unknowns after the pre-alignment alone, ``x`` as
-    bent so far; ``anchors`` by other part.
+    bent so far; ``anchors`` by other part; ``eased`` are the vertices if they were moved since (see :func:`unfolded`).
     """
 
     source: SourcePart
@@ -42,16 +44,27 @@ class BentPart:
     start: Float[np.ndarray, "M 3"]
     x: Float[np.ndarray, "M 3"]
     anchors: Mapping[int, Anchors]
+    eased: Float[np.ndarray, "V 3"] | None = None
 
     @cached_property
     def vertices(self) -> Float[np.ndarray, "V 3"]:
         """Vertices as bent so far."""
-        return self.source.rows @ self.x
+        return self.source.rows @ self.x if self.eased is None else self.eased
+
+    @cached_property
+    def placed(self) -> Float[np.ndarray, "C 3"]:
+        """Handles as bent so far."""
+        return self.source.handle_rows @ self.x
 
     @cached_property
     def surface(self) -> Mesh:
         """The bent part as a mesh."""
         return self.source.surface.moved(self.vertices)
+
+    @cached_property
+    def folds(self) -> int:
+        """Folds as bent so far, beyond those of the part's own mesh (see :func:`inverted_pairs`)."""
+        return inverted_triangles(self.affine, self.vertices, self.source.triangles, self.source.neighbours)
 
 
 def start_part(source: SourcePart, points: Float[np.ndarray, "K 3"]) -> BentPart | None:
@@ -103,7 +116,7 @@ def bend(part: BentPart, held: Mapping[int, np.ndarray], *, preview: bool) -> Be
         if normal is not None:
             normal += ANCHOR_STRENGTH * (rows[1].T @ rows[1]).toarray()
     matrix = vstack(rows, format="csr")
-    fewest, best = np.inf, part.x
+    best = None
     for factor in STIFFER[:1] if preview else STIFFER:
         weights = Weights(regular=factor * Weights.regular)
         problem = Problem(
@@ -112,26 +125,22 @@ def bend(part: BentPart, held: Mapping[int, np.ndarray], *, preview: bool) -> Be
         x = part.x
         for state in (solve_quickly if preview else solve_exactly)(problem, x):
             x = state.x
-        folds = 0 if preview else count_folds(part, x)
-        if folds < fewest:
-            fewest, best = folds, x
-        if fewest == 0:
+        found = replace(part, x=x)
+        if best is None or (found.folds < best.folds):
+            best = found
+        if preview or best.folds == 0:
             break
-    return replace(part, x=best)
+    return best
 
 
-def count_folds(part: BentPart, x: Float[np.ndarray, "M 3"]) -> int:
-    """Folds of the part bent by the unknowns ``x``, beyond those of its mesh (see :func:`inverted_triangles`)."""
-    source = part.source
-    return inverted_triangles(part.affine, source.rows @ x, source.triangles, source.neighbours)
-
-
-def unfolded(part: BentPart) -> Float[np.ndarray, "V 3"]:
-    """The part's vertices; about what is folded still, they move with their neighbours, until nothing is.
+def unfolded(part: BentPart) -> BentPart:
+    """The part with the vertices about what is folded still moved with their neighbours, until nothing is.
 
     The affine map folds nothing, and displacements from it that are alike don't either.  The least folded is kept.
     """
     source, vertices = part.source, part.vertices
+    if part.folds == 0:
+        return part
     best, fewest, n = vertices, np.inf, len(vertices)
     ends = np.concatenate([source.triangles[:, [0, 1]], source.triangles[:, [1, 2]], source.triangles[:, [2, 0]]])
     joined = csr_array((np.ones(2 * len(ends)), np.concatenate([ends, ends[:, ::-1]]).T), shape=(n, n))
@@ -150,4 +159,26 @@ def unfolded(part: BentPart) -> Float[np.ndarray, "V 3"]:
         for _ in range(1 + turn):
             shift = np.where(near[:, None] > 0, (shift + (joined @ shift) / degree) / 2, shift)
         vertices = part.affine + shift
+    return replace(part, eased=best if fewest == 0 else _flattened(part, best))
+
+
+def _flattened(part: BentPart, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+    """The vertices; what is about a fold is displaced from the affine map as one, in the least radius that will do.
+
+    Where a part was squeezed to nothing, displacements that are alike with their neighbours' may differ too much still.
+    """
+    best = vertices
+    pairs = fewest = inverted_pairs(part.affine, best, part.source.triangles, part.source.neighbours)
+    for radius in RADII:
+        for _ in range(len(fewest[0])):
+            middle = part.affine[part.source.triangles[pairs[0][0]]].mean(axis=0)
+            weight = np.exp(-0.5 * ((part.affine - middle) ** 2).sum(axis=1) / radius**2)[:, None]
+            shift = vertices - part.affine
+            vertices = vertices + weight * ((weight * shift).sum(axis=0) / weight.sum() - shift)
+            pairs = inverted_pairs(part.affine, vertices, part.source.triangles, part.source.neighbours)
+            if len(pairs[0]) < len(fewest[0]):
+                best, fewest = vertices, pairs
+            if not len(pairs[0]):
+                return best
+        vertices, pairs = best, fewest
     return best

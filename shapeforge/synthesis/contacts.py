@@ -51,7 +51,7 @@ def choose_contacts(bent: Mapping[int, BentPart], touching: Float[np.ndarray, "L
 
 
 def _near(bent: Mapping[int, BentPart], l: int, other: int) -> bool:
-    anchors = bent[l].source.rows[bent[l].anchors[other].vertices] @ bent[l].x
+    anchors = bent[l].vertices[bent[l].anchors[other].vertices]
     return bool(closest_points(bent[other].surface, anchors)[2].min() <= FARTHEST_CONTACT)
 
 
@@ -81,7 +81,7 @@ def join_islands(
                     close = np.flatnonzero(distance <= distance.min() + 0.01)
                     chosen = close[farthest_points(vertices[close], ANCHORS)]
                     nothing = np.zeros(len(chosen))
-                    found = bent[other].source.template, bent[other].source.handle_rows @ bent[other].x
+                    found = bent[other].source.template, bent[other].placed
                     held_on = Anchors(
                         chosen, distance[chosen] - distance.min(), np.zeros((len(chosen), 3)), nothing,
                         *land_on(vertices[chosen], *found),
@@ -115,7 +115,7 @@ def hold_contacts(
         for l, other in (pair, pair[::-1]):
             if other in bent[l].anchors:
                 anchors = bent[l].anchors[other]
-                here = bent[l].source.rows[anchors.vertices] @ bent[l].x
+                here = bent[l].vertices[anchors.vertices]
                 there, _, distance = closest_points(bent[other].surface, here)
                 if pair in stubborn and (distance > anchors.distance + SLACK).any():
                     there = closest_points(bent[other].surface, _corresponding(anchors, bent[other], there))[0]
@@ -171,7 +171,7 @@ def _straight(
 def _corresponding(anchors: Anchors, other: BentPart, instead: np.ndarray) -> Float[np.ndarray, "A 3"]:
     """Where the anchors are at home on the other part, as it is now; ``instead`` (A, 3) if its points do not tell."""
     points = np.full((max(int(anchors.landing.max()), int(other.source.template.max())) + 1, 3), np.nan)
-    points[other.source.template] = other.source.handle_rows @ other.x
+    points[other.source.template] = other.placed
     near = points[anchors.landing]
     weight = np.where(np.isfinite(near).all(axis=2), anchors.weight, 0.0)
     total = weight.sum(axis=1, keepdims=True)
@@ -189,9 +189,9 @@ def carry_along(part: BentPart, held: Mapping[int, np.ndarray]) -> BentPart:
         return part
     source = part.source
     vertices = np.fromiter(held, np.int64)
-    here = source.rows[vertices] @ part.x
+    here = part.vertices[vertices]
     shifts = np.stack([held[v] for v in held]) - here
-    handles = source.handle_rows @ part.x
+    handles = part.placed
     targets = part.targets.copy()
     for piece in np.unique(source.piece[vertices]):
         own, at = source.piece_of_handle == piece, source.piece[vertices] == piece

@@ -203,22 +203,14 @@ class SolveState:
 def solve_exactly(
     problem: Problem, x: Float[np.ndarray, "M 3"], *, steps: int = 12, tolerance: float = 1e-4
 ) -> Iterator[SolveState]:
-    """Gauss-Newton with a dense Cholesky of (12N)^2 and halved steps: the energy never rises."""
-    n = len(problem.graph.nodes)
+    """Gauss-Newton with a dense Cholesky of (9N)^2 and halved steps: the energy never rises.
+
+    The rotation term does not know the nodes' positions: they are eliminated once for all steps.
+    """
     energy = problem.energy(x)
-    base = np.kron(np.eye(3), problem.linear)
-    ridge = 1e-9 * max(np.trace(problem.linear) / len(problem.linear), 1e-12)
-    base[np.diag_indices_from(base)] += ridge
-    node = np.arange(n)
-    # Place of C_j[d, c] in the long vector that stacks the three coordinates' unknowns.
-    place = (np.arange(3)[:, None] * 4 * n + np.arange(3)).reshape(-1) + 4 * node[:, None]
+    system = _Eliminated(problem)
     for step in range(1, steps + 1):
-        _, jacobian = problem._rotation_terms(x)
-        flat = jacobian.reshape(n, 6, 9)
-        hessian = base.copy()
-        hessian[place[:, :, None], place[:, None, :]] += problem.weights.rotation * (flat.transpose(0, 2, 1) @ flat)
-        factor = cho_factor(hessian, lower=True, overwrite_a=True, check_finite=False)
-        move = cho_solve(factor, -0.5 * problem.gradient(x).T.reshape(-1), check_finite=False).reshape(3, -1).T
+        move = system.solve(problem._rotation_terms(x)[1], -0.5 * problem.gradient(x))
         length = 1.0
         while length > 1e-4:
             candidate = problem.energy(x + length * move)
@@ -235,6 +227,38 @@ def solve_exactly(
             return
 
 
+class _Eliminated:
+    """The Gauss-Newton system without the nodes' positions (Schur complement), which only its constant part holds."""
+
+    def __init__(self, problem: Problem) -> None:
+        n = len(problem.graph.nodes)
+        self.rotation = problem.weights.rotation
+        self.u, self.c = 4 * np.arange(n) + 3, (4 * np.arange(n)[:, None] + np.arange(3)).reshape(-1)
+        linear = problem.linear.copy()
+        linear[np.diag_indices_from(linear)] += 1e-9 * max(np.trace(linear) / len(linear), 1e-12)
+        self.cross = linear[np.ix_(self.u, self.c)]
+        self.factor = cho_factor(linear[np.ix_(self.u, self.u)], lower=True, overwrite_a=True, check_finite=False)
+        self.of_maps = cho_solve(self.factor, self.cross, check_finite=False)
+        self.reduced = linear[np.ix_(self.c, self.c)] - self.cross.T @ self.of_maps
+        # Place of C_j[d, c] in the long vector that stacks the three coordinates' maps.
+        self.place = (np.arange(3)[:, None] * 3 * n + np.arange(3)).reshape(-1) + 3 * np.arange(n)[:, None]
+
+    def solve(self, jacobian: Float[np.ndarray, "N 6 3 3"], right: Float[np.ndarray, "M 3"]) -> np.ndarray:
+        """The step (M, 3) for derivatives of the rotation term and the right-hand side."""
+        n, flat = len(self.u), jacobian.reshape(-1, 6, 9)
+        hessian = np.zeros((9 * n, 9 * n), order="F")
+        for d in range(3):
+            hessian[3 * n * d : 3 * n * (d + 1), 3 * n * d : 3 * n * (d + 1)] = self.reduced
+        hessian[self.place[:, :, None], self.place[:, None, :]] += self.rotation * (flat.transpose(0, 2, 1) @ flat)
+        factor = cho_factor(hessian, lower=True, overwrite_a=True, check_finite=False)
+        of_maps = right[self.c] - self.of_maps.T @ right[self.u]
+        move = np.empty_like(right)
+        maps = cho_solve(factor, of_maps.T.reshape(-1), check_finite=False).reshape(3, -1).T
+        move[self.c] = maps
+        move[self.u] = cho_solve(self.factor, right[self.u] - self.cross @ maps, check_finite=False)
+        return move
+
+
 def solve_quickly(problem: Problem, x: Float[np.ndarray, "M 3"], *, steps: int = 2) -> Iterator[SolveState]:
     """Local-global preview: nearest rotations by SVD, then one linear system factored once for all steps.
 
@@ -248,12 +272,14 @@ def solve_quickly(problem: Problem, x: Float[np.ndarray, "M 3"], *, steps: int =
     matrix[place[:, :, None], place[:, None, :]] += weight * (problem.inverse @ problem.inverse.transpose(0, 2, 1))
     matrix[np.diag_indices_from(matrix)] += 1e-9 * np.trace(matrix) / len(matrix)
     factor = cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
+    rotation = _rotations_of_positions(problem, x)
     for step in range(1, steps + 1):
-        rotation = _rotations_of_positions(problem, x) if step == 1 else nearest_rotations(problem.stretch(x))
         right = problem.right.copy().reshape(-1, 4, 3)
         right[:, :3] += weight * (rotation @ problem.inverse.transpose(0, 2, 1)).transpose(0, 2, 1)
         x = cho_solve(factor, right.reshape(-1, 3), check_finite=False)
-        away = ((problem.stretch(x) - nearest_rotations(problem.stretch(x))) ** 2).sum()
+        stretch = problem.stretch(x)
+        rotation = nearest_rotations(stretch)
+        away = ((stretch - rotation) ** 2).sum()
         quadratic = np.einsum("id,id->", x, problem.linear @ x - 2 * problem.right) + problem.constant
         yield SolveState(step, x, float(weight * away + quadratic), "all steps done" if step == steps else None)
 

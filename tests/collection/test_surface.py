@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from shapeforge.collection.rays import first_hits
 from shapeforge.collection.shape import Mesh
 from shapeforge.collection.surface import SearchedMesh, closest_points
 from tests.oracles import distance_to_triangle
@@ -58,9 +59,24 @@ def test_a_searched_mesh_that_was_moved_answers_as_a_new_one():
     vertices, triangles = rng.normal(size=(60, 3)), rng.integers(0, 60, (200, 3))
     rest = SearchedMesh(vertices, triangles, np.arange(200), 200)
     queries = rng.normal(size=(80, 3))
+    along = np.roll(queries, 1, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
     assert len(closest_points(rest, queries)[2]) == 80
     for _ in range(2):
         rest = rest.moved(rng.permutation(vertices) * [3.0, 0.2, -1.0])
         anew = Mesh(rest.vertices, triangles, np.arange(200), 200)
         for found, expected in zip(closest_points(rest, queries)[::2], closest_points(anew, queries)[::2], strict=True):
             np.testing.assert_allclose(found, expected, atol=1e-12)
+        hits = first_hits(rest, queries, along)
+        assert 0.1 < np.isfinite(hits).mean() < 0.9
+        np.testing.assert_array_equal(hits, first_hits(anew, queries, along, embree=False))
+
+
+def test_rays_meet_nothing_where_nothing_has_an_area():
+    flat = np.array([[0.0, 0, 0], [0.3, 0.3, 0.3], [0.7, 0.7, 0.7]])
+    down = np.array([[0.0, 0.0, -1.0]])
+    for mesh in (
+        Mesh(flat, np.array([[0, 1, 2]]), np.arange(1), 1),
+        Mesh(flat, np.zeros((0, 3), int), np.arange(0), 0),
+    ):
+        assert np.isinf(first_hits(mesh, np.array([[0.4, 0.4, 1.0]]), down, embree=False)).all()

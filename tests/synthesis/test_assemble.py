@@ -11,7 +11,7 @@ from shapeforge.collection.materials import PLAIN
 from shapeforge.collection.surface import closest_points
 from shapeforge.synthesis import assemble, bending, contacts
 from shapeforge.synthesis.assemble import synthesize
-from shapeforge.synthesis.bending import bend, count_folds, start_part, unfolded
+from shapeforge.synthesis.bending import bend, start_part, unfolded
 from shapeforge.synthesis.contacts import carry_along, choose_contacts, contact_depths, hold_contacts, join_islands
 from shapeforge.synthesis.depths import depths, pushed_back
 from shapeforge.synthesis.measures import inverted_triangles
@@ -122,15 +122,25 @@ def test_what_would_fold_is_bent_stiffer(tables, sources, monkeypatch) -> None:
         patch.setattr(bending, "STIFFER", (1.0,))
         plain = bend(part, crossed, preview=False)
     stiffer = bend(part, crossed, preview=False)
-    assert count_folds(plain, plain.x) > 10
-    assert count_folds(stiffer, stiffer.x) == 0
+    assert plain.folds > 10
+    assert stiffer.folds == 0
     # What is left of them is eased where it is.
     eased = unfolded(plain)
-    assert inverted_triangles(part.affine, eased, part.source.triangles) == 0
+    assert inverted_triangles(part.affine, eased.vertices, part.source.triangles) == 0
     far = np.abs(at[:, 0]) > 0.2
-    np.testing.assert_allclose(eased[far], plain.vertices[far], atol=0.01)
-    assert np.array_equal(unfolded(part), part.vertices)
-    assert count_folds(part, part.start) == 0
+    np.testing.assert_allclose(eased.vertices[far], plain.vertices[far], atol=0.01)
+    assert unfolded(part) is part
+    with monkeypatch.context() as patch:
+        patch.setattr(bending, "UNFOLDINGS", 2)  # what easing cannot undo is moved as one
+        flattened = unfolded(plain)
+        assert flattened.folds == 0
+        np.testing.assert_allclose(flattened.vertices[np.abs(at[:, 0]) > 0.35], plain.vertices[np.abs(at[:, 0]) > 0.35],
+                                   atol=0.02)  # fmt: skip
+        patch.setattr(bending, "RADII", (1e3,))  # all of the part, in the end
+        assert unfolded(plain).folds == 0
+        patch.setattr(bending, "RADII", ())
+        assert unfolded(plain).folds > 0
+    assert part.folds == 0
 
 
 def test_legs_that_the_draw_drove_through_the_top_stop_under_it(tables, sources) -> None:

@@ -77,6 +77,28 @@ def test_gradient_equals_finite_differences() -> None:
         assert gradient[i, d] == pytest.approx(slope, rel=1e-6, abs=1e-6)
 
 
+def test_a_step_solves_the_whole_gauss_newton_system() -> None:
+    """Also the positions, which are eliminated: against residuals differentiated numerically, all unknowns at once."""
+    rng = np.random.default_rng(4)
+    points = sheet_points(150)
+    graph = build_graph(points, n_nodes=9, n_neighbours=4)
+    rest = np.eye(3) + rng.normal(0, 0.1, (9, 3, 3))
+    problem = Problem(graph, graph.basis(points), bent(points), rng.uniform(0.1, 1, 150), rest)
+    x = graph.at_rest(np.eye(3), np.zeros(3)) + rng.normal(0, 0.05, (36, 3))
+
+    def residuals(at: np.ndarray) -> np.ndarray:
+        return np.sqrt(problem.weights.rotation) * problem._rotation_terms(at.reshape(3, 36).T)[0].reshape(-1)
+
+    long, step = x.T.reshape(-1), 1e-6
+    jacobian = np.stack([(residuals(long + d) - residuals(long - d)) / (2 * step) for d in step * np.eye(108)], axis=1)
+    hessian = jacobian.T @ jacobian + np.kron(np.eye(3), problem.linear)
+    expected = np.linalg.solve(hessian, -0.5 * problem.gradient(x).T.reshape(-1)).reshape(3, 36).T
+    first = next(iter(solve_exactly(problem, x))).x - x
+    length = (first * expected).sum() / (expected**2).sum()
+    assert np.isclose(np.log2(length), np.round(np.log2(length)), atol=1e-4)  # halved until the energy falls
+    np.testing.assert_allclose(first, length * expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
+
+
 def test_energy_never_rises_and_reaches_a_stationary_point() -> None:
     points = sheet_points()
     problem, x = problem_for(points, bent(points, noise=0.02))
