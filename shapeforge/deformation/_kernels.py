@@ -9,55 +9,19 @@ _FAST = {"cache": True, "nogil": True}
 
 
 @njit(**_FAST)
-def correspond(
-    offsets, template_index, costs, points, deformed, half_trace, precision, label, segmentation, log_epsilon,
-    q, part_share, mass, first_moment,
-):  # fmt: skip
-    """Correspondence update (supplement, q[p,k]); fills q (M,), part_share (P,L), mass (K,), first_moment (K,3)."""
-    mass[:] = 0.0
-    first_moment[:] = 0.0
-    part_share[:] = 0.0
-    wx, wy, wz = 0.5 * precision[0], 0.5 * precision[1], 0.5 * precision[2]
-    for p in range(offsets.shape[0] - 1):
-        begin, end = offsets[p], offsets[p + 1]
-        if begin == end:
-            continue
-        x, y, z = points[p, 0], points[p, 1], points[p, 2]
-        best = -np.inf
-        for c in range(begin, end):
-            k = template_index[c]
-            dx, dy, dz = deformed[k, 0] - x, deformed[k, 1] - y, deformed[k, 2] - z
-            logit = log_epsilon * (1.0 - segmentation[p, label[k]]) - (wx * dx * dx + wy * dy * dy + wz * dz * dz)
-            logit -= half_trace[k] + costs[c]
-            q[c] = logit
-            best = max(best, logit)
-        total = 0.0
-        for c in range(begin, end):
-            # below e^-32 of the largest a pair carries nothing; written so that what is no number stays none
-            value = 0.0 if q[c] - best < -32.0 else np.exp(q[c] - best)
-            q[c] = value
-            total += value
-        scale = 1.0 / total
-        for c in range(begin, end):
-            if q[c] == 0.0:
-                continue
-            value = q[c] * scale
-            q[c] = value
-            k = template_index[c]
-            part_share[p, label[k]] += value
-            mass[k] += value
-            first_moment[k, 0] += value * x
-            first_moment[k, 1] += value * y
-            first_moment[k, 2] += value * z
+def segment(part_share, offsets, neighbour, attraction, log_epsilon, active, evidence, sweeps, quiet, segmentation):
+    """Segmentation update (supplement, s[p,l]), Gauss-Seidel over points; ``attraction`` (M,) is logit Φ per pair.
 
-
-@njit(**_FAST)
-def segment(part_share, offsets, neighbour, attraction, log_epsilon, active, evidence, sweeps, segmentation):
-    """Segmentation update (supplement, s[p,l]), Gauss-Seidel over points; ``attraction`` (M,) is logit Φ per pair."""
-    n_parts = part_share.shape[1]
+    After the first sweep only points are taken up again a neighbour of which has changed by more than ``quiet`` since.
+    """
+    n_points, n_parts = part_share.shape
     logits = np.empty(n_parts)
+    restless = np.ones(n_points, np.bool_)
     for _ in range(sweeps):
-        for p in range(part_share.shape[0]):
+        for p in range(n_points):
+            if not restless[p]:
+                continue
+            restless[p] = False
             if evidence[p] >= 0:
                 for part in range(n_parts):
                     segmentation[p, part] = 1.0 if part == evidence[p] else 0.0
@@ -65,20 +29,25 @@ def segment(part_share, offsets, neighbour, attraction, log_epsilon, active, evi
             for part in range(n_parts):
                 logits[part] = log_epsilon * (1.0 - part_share[p, part])
             for c in range(offsets[p], offsets[p + 1]):
-                other = neighbour[c]
+                other, pull = np.uint32(neighbour[c]), attraction[c]
                 for part in range(n_parts):
-                    logits[part] += attraction[c] * segmentation[other, part]
+                    logits[part] += pull * segmentation[other, part]
             best = -np.inf
             for part in range(n_parts):
                 if active[part] and logits[part] > best:
                     best = logits[part]
             total = 0.0
             for part in range(n_parts):
-                value = np.exp(logits[part] - best) if active[part] else 0.0
-                segmentation[p, part] = value
-                total += value
+                logits[part] = np.exp(logits[part] - best) if active[part] else 0.0
+                total += logits[part]
+            change = 0.0
             for part in range(n_parts):
-                segmentation[p, part] /= total
+                value = logits[part] / total
+                change = max(change, abs(value - segmentation[p, part]))
+                segmentation[p, part] = value
+            if not change <= quiet:
+                for c in range(offsets[p], offsets[p + 1]):
+                    restless[np.uint32(neighbour[c])] = True
 
 
 @njit(**_FAST)
@@ -123,6 +92,43 @@ def deform(weight, pull, mapped, offsets, neighbour, smooth_precision, sweeps, d
             deformed[k, 0] = (right[k, 0] + sx * x) * inverse[k, 0]
             deformed[k, 1] = (right[k, 1] + sy * y) * inverse[k, 1]
             deformed[k, 2] = (right[k, 2] + sz * z) * inverse[k, 2]
+
+
+@njit(**_FAST)
+def carried(maps, label, vectors):
+    """Vectors (K,3) under the matrix (L,3,3) of the part of each."""
+    out = np.empty_like(vectors)
+    for k in range(vectors.shape[0]):
+        part = label[k]
+        x, y, z = vectors[k, 0], vectors[k, 1], vectors[k, 2]
+        for row in range(3):
+            out[k, row] = maps[part, row, 0] * x + maps[part, row, 1] * y + maps[part, row, 2] * z
+    return out
+
+
+@njit(**_FAST)
+def carried_normals(maps, label, normals):
+    """Unit normals (K,3) of surfaces that the matrices (L,3,3) of their parts map: under the cofactors, which are the
+    inverse transposed up to a positive factor, and also say where a matrix that flattens leaves the normal.
+    """
+    cofactors = np.empty_like(maps)
+    for part in range(maps.shape[0]):
+        for row in range(3):
+            for column in range(3):
+                r, s = (row + 1) % 3, (row + 2) % 3
+                c, d = (column + 1) % 3, (column + 2) % 3
+                cofactors[part, row, column] = maps[part, r, c] * maps[part, s, d] - maps[part, r, d] * maps[part, s, c]
+        determinant = 0.0
+        for column in range(3):
+            determinant += maps[part, 0, column] * cofactors[part, 0, column]
+        if determinant < 0.0:
+            cofactors[part] *= -1.0
+    out = carried(cofactors, label, normals)
+    for k in range(out.shape[0]):
+        length = max(np.sqrt(out[k, 0] ** 2 + out[k, 1] ** 2 + out[k, 2] ** 2), 1e-12)
+        for row in range(3):
+            out[k, row] /= length
+    return out
 
 
 @njit(**_FAST)
@@ -171,58 +177,6 @@ def smoothness_sums(offsets, neighbour, deformed, mapped, keep):
                     delta = deformed[k, axis] - deformed[other, axis] - mapped[k, axis] + mapped[other, axis]
                     total[axis] += delta * delta
     return total, count
-
-
-@njit(**_FAST)
-def explained_without(offsets, template_index, costs, points, deformed, precision, label, n_parts, cap):
-    """Per point the loss (nats, at most ``cap``) of the best explanation when its own favourite part is taken away.
-
-    From φ1 and φ3 alone: ``ln Σ_k exp(-cost)`` over all candidates minus the same over candidates of other parts.
-    Returns favourite part (P,), loss (P,) and the log density of each part (P, L).
-    """
-    n_points = offsets.shape[0] - 1
-    favourite = np.full(n_points, -1, np.int32)
-    loss = np.zeros(n_points)
-    density = np.full((n_points, n_parts), -np.inf)
-    longest = 0
-    for p in range(n_points):
-        longest = max(longest, offsets[p + 1] - offsets[p])
-    logits, top, sums = np.empty(longest), np.empty(n_parts), np.empty(n_parts)
-    for p in range(n_points):
-        begin, end = offsets[p], offsets[p + 1]
-        best = -np.inf
-        top[:] = -np.inf
-        sums[:] = 0.0
-        for c in range(begin, end):
-            k = template_index[c]
-            squared = 0.0
-            for axis in range(3):
-                difference = deformed[k, axis] - points[p, axis]
-                squared += precision[axis] * difference * difference
-            logits[c - begin] = -0.5 * squared - costs[c]
-            top[label[k]] = max(top[label[k]], logits[c - begin])
-        for c in range(begin, end):
-            part = label[template_index[c]]
-            below = logits[c - begin] - top[part]
-            if not below < -32.0:
-                sums[part] += np.exp(below)
-        for part in range(n_parts):
-            if top[part] > -np.inf:
-                density[p, part] = top[part] + np.log(sums[part])
-        for part in range(n_parts):
-            if density[p, part] > best:
-                best = density[p, part]
-                favourite[p] = part
-        if favourite[p] < 0:
-            continue
-        everything, others = 0.0, 0.0
-        for part in range(n_parts):
-            value = np.exp(density[p, part] - best)
-            everything += value
-            if part != favourite[p]:
-                others += value
-        loss[p] = min(cap, np.log(everything / others)) if others > 0.0 else cap
-    return favourite, loss, density
 
 
 @njit(**_FAST)

@@ -62,21 +62,21 @@ def merge_pairs(mine, theirs, n_rows):
 
 
 @njit(**_FAST)
-def refilled_pairs(offsets, template_index, alive, rows, nearest):
+def refilled_pairs(offsets, template_index, costs, alive, rows, nearest):
     """The pairs without template points that are not ``alive`` (K,); point ``rows[i]`` gets ``nearest[i]`` as well.
 
-    Returns CSR like ``merge_pairs``; ``rows`` ascend.
+    Returns CSR like ``merge_pairs``, and the ``costs`` (M,) of the pairs, NaN of those that are new; ``rows`` ascend.
     """
     n_points = offsets.shape[0] - 1
     out_offsets = np.zeros(n_points + 1, np.int64)
-    columns = np.empty(len(template_index) + nearest.size, np.int32)
+    columns, kept = np.empty(len(template_index) + nearest.size, np.int32), np.empty(len(template_index) + nearest.size)
     used = 0
     i = 0
     for p in range(n_points):
         begin = used
         for c in range(offsets[p], offsets[p + 1]):
             if alive[template_index[c]]:
-                columns[used] = template_index[c]
+                columns[used], kept[used] = template_index[c], costs[c]
                 used += 1
         if i < len(rows) and rows[i] == p:
             for k in nearest[i]:
@@ -86,12 +86,12 @@ def refilled_pairs(offsets, template_index, alive, rows, nearest):
                 if at > begin and columns[at - 1] == k:
                     continue
                 for move in range(used, at, -1):
-                    columns[move] = columns[move - 1]
-                columns[at] = k
+                    columns[move], kept[move] = columns[move - 1], kept[move - 1]
+                columns[at], kept[at] = k, np.nan
                 used += 1
             i += 1
         out_offsets[p + 1] = used
-    return out_offsets, columns[:used].copy()
+    return out_offsets, columns[:used].copy(), kept[:used].copy()
 
 
 @njit(**_FAST, fastmath={"reassoc", "contract", "nsz"})
@@ -105,10 +105,13 @@ def pair_costs(
     normal_weight,
     out,
 ):
-    """φ3 of every pair: ``out[c] = |f_k - f_p|² + normal_weight (1 - |n_k·n_p|)``, descriptors scaled beforehand."""
+    """φ3 of every pair whose ``out[c]`` is NaN: ``|f_k - f_p|² + normal_weight (1 - |n_k·n_p|)``, descriptors scaled
+    beforehand."""
     for p in range(offsets.shape[0] - 1):
         for c in range(offsets[p], offsets[p + 1]):
-            k = template_index[c]
+            if not np.isnan(out[c]):
+                continue
+            k = np.uint32(template_index[c])
             total = 0.0
             for d in range(point_descriptors.shape[1]):
                 difference = template_descriptors[k, d] - point_descriptors[p, d]

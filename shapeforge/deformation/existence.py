@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from shapeforge.collection.points import nearest_points
-from shapeforge.deformation import _kernels
+from shapeforge.deformation import _kernels_soft
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.templates import PartTemplates
 from shapeforge.deformation.updates import Candidates, Correspondence, Problem, mapped_normals
@@ -65,7 +65,7 @@ def explained(
     ``owner`` is the part of each template point, or whatever else is asked about, counted from 0.  φ4 and φ5 are left
     out, so that smoothness of labels cannot talk a part into existence.
     """
-    favourite, loss, by_part = _kernels.explained_without(
+    favourite, loss, by_part = _kernels_soft.explained_without(
         candidates.offsets, candidates.template_index, candidates.costs, problem.points, beliefs.deformed,
         1.0 / unary, owner, int(owner.max()) + 1, LOSS_CAP,
     )  # fmt: skip

@@ -153,18 +153,28 @@ def posed_starts(
     """Turned starts that explain a shape better than any start does as it lies, best first; mostly none.
 
     ``templates`` are the exemplars' points (K, 3), ``alignments`` their maps onto the shape's ``points`` (P, 3) as it
-    lies.  All ``rotations`` are screened on few points without refining, the most promising are aligned properly.
+    lies.  All ``rotations`` are screened on few points without refining; the most promising are aligned properly, if
+    they look better than the shape as it lies does at so quick a glance.
     """
     least = min(alignment.residual for alignment in alignments)
     few = thinned(points, _N_SCREENED)
-    screened = []
-    for r, rotation in enumerate(rotations):
+
+    def glance(rotation: np.ndarray) -> list[float]:
         turned = few @ rotation.T
-        for g, template in enumerate(templates):
-            start = affine_align(template, turned, starts=("spread",), n_points=_N_SCREENED, max_iterations=0)
-            screened.append((start.residual, r, g))
+        return [
+            affine_align(template, turned, starts=("spread",), n_points=_N_SCREENED, max_iterations=0).residual
+            for template in templates
+        ]
+
+    lying = min(glance(np.eye(3)))
+    screened = sorted(
+        (residual, r, g)
+        for r, rotation in enumerate(rotations)
+        for g, residual in enumerate(glance(rotation))
+        if residual < lying
+    )
     found = []
-    for _, r, g in sorted(screened)[:TRIED]:
+    for _, r, g in screened[:TRIED]:
         rotation = rotations[r]
         there = affine_align(templates[g], points @ rotation.T, n_points=_N_ALIGNED)
         if there.residual < BETTER * least:

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from shapeforge.collection.points import nearest_points
 from shapeforge.collection.shape import Shape
-from shapeforge.deformation import _kernels, _kernels_pairs
+from shapeforge.deformation import _kernels, _kernels_pairs, _kernels_soft
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.factors import DESCRIPTOR_WEIGHT, LOG_EPSILON, NORMAL_WEIGHT, Covariances
 from shapeforge.deformation.templates import PartTemplates, pair_graph
@@ -20,6 +20,8 @@ POINT_CANDIDATES = 12
 TEMPLATE_CANDIDATES = 40
 MAP_RIDGE = 0.05
 SMOOTHING_SWEEPS = 10
+QUIET = 1e-4
+"""Change of a label probability of which the neighbours need not hear within the same update."""
 
 
 @runtime_checkable
@@ -99,8 +101,8 @@ def find_candidates(
     found = nearest_points(problem.points, beliefs.deformed[rows], TEMPLATE_CANDIDATES)[0]
     by_template = np.full((templates.n_points, found.shape[1]), -1, np.int32)
     by_template[rows] = found
-    pairs = _kernels_pairs.merge_pairs(rows[by_point], by_template, len(problem.points))
-    return _priced(problem, templates, beliefs, descriptor, *pairs)
+    offsets, index = _kernels_pairs.merge_pairs(rows[by_point], by_template, len(problem.points))
+    return _priced(problem, templates, beliefs, descriptor, offsets, index, np.full(len(index), np.nan))
 
 
 def candidates_without(
@@ -110,23 +112,24 @@ def candidates_without(
     beliefs: Beliefs,
     descriptor: Float[np.ndarray, " d"],
 ) -> Candidates:
-    """Candidates found for more parts than are active now: without those that are not.
+    """Candidates found for more parts than are active now, by the same maps: without those that are not.
 
-    Only samples that lost a candidate look for their nearest template points again.
+    Only samples that lost a candidate look for their nearest template points again; pairs that stay cost the same.
     """
     alive = beliefs.alive(templates.label)
     lost = np.add.reduceat(np.append(~alive[candidates.template_index], False), candidates.offsets[:-1])
     affected = np.flatnonzero((lost > 0) & (np.diff(candidates.offsets) > 0))
     rows = np.flatnonzero(alive).astype(np.int32)
     nearest = rows[nearest_points(beliefs.deformed[rows], problem.points[affected], POINT_CANDIDATES)[0]]
-    pairs = _kernels_pairs.refilled_pairs(candidates.offsets, candidates.template_index, alive, affected, nearest)
+    pairs = _kernels_pairs.refilled_pairs(
+        candidates.offsets, candidates.template_index, candidates.costs, alive, affected, nearest
+    )
     return _priced(problem, templates, beliefs, descriptor, *pairs)
 
 
-def _priced(problem, templates, beliefs, descriptor, offsets: np.ndarray, index: np.ndarray) -> Candidates:
-    """The pairs with φ3's cost of each."""
+def _priced(problem, templates, beliefs, descriptor, offsets: np.ndarray, index: np.ndarray, costs) -> Candidates:
+    """The pairs with φ3's cost of each; computed where it is NaN in ``costs`` (M,), which are written to."""
     scale = np.sqrt(0.5 * DESCRIPTOR_WEIGHT / descriptor)
-    costs = np.empty(len(index))
     _kernels_pairs.pair_costs(
         offsets, index, problem.descriptors * scale, templates.descriptors * scale, problem.normals,
         mapped_normals(templates, beliefs), NORMAL_WEIGHT, costs,
@@ -136,9 +139,7 @@ def _priced(problem, templates, beliefs, descriptor, offsets: np.ndarray, index:
 
 def mapped_normals(templates: PartTemplates, beliefs: Beliefs) -> Float[np.ndarray, "K 3"]:
     """Unit normals of the template under the inverse transpose of the shape's part maps (K, 3)."""
-    cofactor = np.linalg.pinv(beliefs.maps).transpose(0, 2, 1)
-    normals = np.einsum("kij,kj->ki", cofactor[templates.label], templates.normals)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return _kernels.carried_normals(beliefs.maps, templates.label, templates.normals)
 
 
 def update_correspondences(
@@ -150,7 +151,7 @@ def update_correspondences(
     q = np.empty(len(candidates.template_index))
     share = np.empty((n_points, templates.n_parts))
     mass, moment = np.empty(n_template), np.empty((n_template, 3))
-    _kernels.correspond(
+    _kernels_soft.correspond(
         candidates.offsets, candidates.template_index, candidates.costs, problem.points, beliefs.deformed,
         0.5 * beliefs.variance @ precision, precision, templates.label, beliefs.segmentation, LOG_EPSILON,
         q, share, mass, moment,
@@ -171,14 +172,14 @@ def update_segmentation(
         share = share - problem.leaning / LOG_EPSILON
     _kernels.segment(
         share, problem.offsets, problem.neighbour, pull, LOG_EPSILON, beliefs.active,
-        problem.evidence, sweeps, segmentation,
+        problem.evidence, sweeps, QUIET, segmentation,
     )  # fmt: skip
     return replace(beliefs, segmentation=segmentation)
 
 
 def mapped_template(templates: PartTemplates, beliefs: Beliefs) -> Float[np.ndarray, "K 3"]:
     """Template points under the shape's linear map of their part, A[part]·Y (offsets cancel in φ2)."""
-    return np.einsum("kij,kj->ki", beliefs.maps[templates.label], templates.points)
+    return _kernels.carried(beliefs.maps, templates.label, templates.points)
 
 
 def update_deformations(

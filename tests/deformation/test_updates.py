@@ -76,11 +76,12 @@ def test_correspondences_equal_the_oracle():
         templates.descriptors, mapped_normals(templates, beliefs), templates.label, pairs, beliefs.segmentation,
         covariances.unary, DESCRIPTOR_WEIGHT / covariances.descriptor, LOG_EPSILON, NORMAL_WEIGHT,
     )  # fmt: skip
-    np.testing.assert_allclose(got.q, np.concatenate(wanted), atol=1e-10)
+    # logits are in single precision
+    np.testing.assert_allclose(got.q, np.concatenate(wanted), rtol=3e-5, atol=1e-9)
     sums = np.add.reduceat(got.q, candidates.offsets[:-1])
-    np.testing.assert_allclose(sums, 1.0, atol=1e-12)
-    np.testing.assert_allclose(got.part_share.sum(axis=1), 1.0, atol=1e-12)
-    np.testing.assert_allclose(got.mass.sum(), len(problem.points), rtol=1e-12)
+    np.testing.assert_allclose(sums, 1.0, atol=1e-6)
+    np.testing.assert_allclose(got.part_share.sum(axis=1), 1.0, atol=1e-6)
+    np.testing.assert_allclose(got.mass, np.bincount(candidates.template_index, got.q, templates.n_points), rtol=1e-12)
 
 
 def test_sparse_equals_dense_when_every_pair_is_kept(monkeypatch):
@@ -230,9 +231,9 @@ def test_sparse_updates_equal_dense_ones_when_every_pair_is_kept(monkeypatch):
     logit += LOG_EPSILON * (1 - beliefs.segmentation[:, templates.label])
     wanted = np.exp(logit - logit.max(axis=1, keepdims=True))
     wanted /= wanted.sum(axis=1, keepdims=True)
-    np.testing.assert_allclose(got.q.reshape(wanted.shape), wanted, atol=1e-12)
-    np.testing.assert_allclose(got.mass, wanted.sum(axis=0), atol=1e-11)
-    np.testing.assert_allclose(got.first_moment, wanted.T @ problem.points, atol=1e-11)
+    np.testing.assert_allclose(got.q.reshape(wanted.shape), wanted, rtol=3e-5, atol=1e-9)  # in single precision
+    np.testing.assert_allclose(got.mass, wanted.sum(axis=0), rtol=1e-5)
+    np.testing.assert_allclose(got.first_moment, wanted.T @ problem.points, rtol=1e-5, atol=1e-6)
 
 
 def test_candidates_are_the_nearest_both_ways():
