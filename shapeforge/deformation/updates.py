@@ -94,14 +94,19 @@ def find_candidates(
 ) -> Candidates:
     """Sparsity of q (supplement): template points keep their nearest samples, samples their nearest template points.
 
-    Only template points of active parts take part.  The normals of the template are carried along by its part maps.
+    The latter are looked for where fewer template points have chosen the sample than it may choose: elsewhere they are
+    among those.  Only template points of active parts take part.  The normals of the template are carried along by its
+    part maps.
     """
     rows = np.flatnonzero(beliefs.alive(templates.label)).astype(np.int32)
-    by_point = nearest_points(beliefs.deformed[rows], problem.points, POINT_CANDIDATES)[0]
     found = nearest_points(problem.points, beliefs.deformed[rows], TEMPLATE_CANDIDATES)[0]
     by_template = np.full((templates.n_points, found.shape[1]), -1, np.int32)
     by_template[rows] = found
-    offsets, index = _kernels_pairs.merge_pairs(rows[by_point], by_template, len(problem.points))
+    lonely = np.flatnonzero(np.bincount(found.reshape(-1), minlength=len(problem.points)) < POINT_CANDIDATES)
+    own = rows[nearest_points(beliefs.deformed[rows], problem.points[lonely], POINT_CANDIDATES)[0]]
+    by_point = np.full((len(problem.points), own.shape[1]), -1, np.int32)
+    by_point[lonely] = own
+    offsets, index = _kernels_pairs.merge_pairs(by_point, by_template, len(problem.points))
     return _priced(problem, templates, beliefs, descriptor, offsets, index, np.full(len(index), np.nan))
 
 
@@ -114,11 +119,12 @@ def candidates_without(
 ) -> Candidates:
     """Candidates found for more parts than are active now, by the same maps: without those that are not.
 
-    Only samples that lost a candidate look for their nearest template points again; pairs that stay cost the same.
+    Only samples left with few look for their nearest template points again; pairs that stay cost the same.
     """
     alive = beliefs.alive(templates.label)
-    lost = np.add.reduceat(np.append(~alive[candidates.template_index], False), candidates.offsets[:-1])
-    affected = np.flatnonzero((lost > 0) & (np.diff(candidates.offsets) > 0))
+    left = np.concatenate([[0], np.cumsum(alive[candidates.template_index])])[candidates.offsets]
+    had = np.diff(candidates.offsets)
+    affected = np.flatnonzero((np.diff(left) < np.minimum(had, POINT_CANDIDATES)))
     rows = np.flatnonzero(alive).astype(np.int32)
     nearest = rows[nearest_points(beliefs.deformed[rows], problem.points[affected], POINT_CANDIDATES)[0]]
     pairs = _kernels_pairs.refilled_pairs(
