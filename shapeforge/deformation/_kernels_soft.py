@@ -1,4 +1,4 @@
-"""Numba kernels that sum exponentials over the sparse pairs (p, k): the correspondence update, and what speaks for parts.
+"""Numba kernels that sum exponentials over the sparse pairs (p, k): correspondences, and what speaks for parts.
 
 They are where a fit spends its time, so they are written for the vector units: a row of pairs is first gathered into
 small buffers in single precision (a logit is a difference from the best of its row, where single precision is plenty),
@@ -29,7 +29,7 @@ _C0, _C1, _C2, _C3, _C4, _C5, _C6 = (
 def exponentials(logit, top, n, bits, out):
     """``out[j] = exp(logit[j] - top[j])`` for the first ``n`` entries, single precision; ``bits`` (int32) is scratch.
 
-    To 3e-7 of the result, which is at least 1e-18: no branch, so that the loop vectorises.  No logit may exceed its top.
+    To 3e-7 of the result, which is at least 1e-18: no branch, so that the loop vectorises.  No logit is above its top.
     """
     powers = bits.view(np.float32)
     for j in range(n):

@@ -124,7 +124,7 @@ def candidates_without(
     alive = beliefs.alive(templates.label)
     left = np.concatenate([[0], np.cumsum(alive[candidates.template_index])])[candidates.offsets]
     had = np.diff(candidates.offsets)
-    affected = np.flatnonzero((np.diff(left) < np.minimum(had, POINT_CANDIDATES)))
+    affected = np.flatnonzero(np.diff(left) < np.minimum(had, POINT_CANDIDATES))
     rows = np.flatnonzero(alive).astype(np.int32)
     nearest = rows[nearest_points(beliefs.deformed[rows], problem.points[affected], POINT_CANDIDATES)[0]]
     pairs = _kernels_pairs.refilled_pairs(
