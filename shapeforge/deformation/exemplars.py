@@ -71,10 +71,16 @@ def weigh(
         nearest, distance = (one[:, 0] for one in nearest_points(belief.deformed[alive], problem.points))
         back = nearest_points(problem.points, thinned(belief.deformed[alive], 1500))[1]
         turn = 1.0 - np.abs((mapped_normals(template, belief)[alive[nearest]] * problem.normals).sum(axis=1))
-        misfit = float((distance.mean() + back.mean()) / GAP_SCALE + turn.mean() / TURN_SCALE)
+        misfit = misfit_of(distance, back, turn)
         local = _around(problem, distance / LOCAL_GAP + turn / LOCAL_TURN).astype(np.float32)
         found.append(Candidate(belief, 1.0, misfit, local, family))
     return weighted(found)
+
+
+def misfit_of(distance: np.ndarray, back: np.ndarray, turn: np.ndarray) -> float:
+    """Nats that an explanation costs: gaps from the surface to the template and back (diagonals), and 1 - |cos| between
+    the normals of what is nearest."""
+    return float((distance.mean() + back.mean()) / GAP_SCALE + turn.mean() / TURN_SCALE)
 
 
 def weighted(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:

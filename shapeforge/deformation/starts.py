@@ -11,6 +11,7 @@ from shapeforge.collection.align import affine_align
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.exemplars import Candidate, compact, weigh
+from shapeforge.deformation.partial import partial_starts
 from shapeforge.deformation.pose import posed_starts
 from shapeforge.deformation.templates import PartTemplates, template_from_exemplar, template_from_points
 from shapeforge.deformation.updates import Problem, make_problem
@@ -43,16 +44,22 @@ def affine_beliefs(
 
 
 def exemplar_starts(shape, faces, templates, own, how_many, seed) -> tuple[Candidate, ...]:
-    """Affine starts of a shape: its own group's exemplar first, then the best of the others; turned ones if better.
+    """Affine starts of a shape: its own group's exemplar first, then the best of the others; turned ones and ones with
+    fewer parts if these are better.
 
-    Poses compete as exemplars do, by weight; those that are far behind are given up here.
+    Poses and sets of parts compete as exemplars do, by weight; those that are far behind are given up here.
     """
     problem = make_problem(shape, faces)
     alignments = [affine_align(template.points, shape.points) for template in templates]
     order = sorted(range(len(templates)), key=lambda g: (g != own, alignments[g].residual))[:how_many]
     beliefs = [affine_beliefs(shape, problem, templates[g], g, alignments[g], seed) for g in order]
     turned = posed_starts(shape.points, [template.points for template in templates], alignments)
-    if not turned:
+    painted = np.unique(problem.evidence[problem.evidence >= 0])
+    partial = partial_starts(problem.points, problem.normals, templates, alignments, painted)
+    for start in partial:
+        found = affine_beliefs(shape, problem, templates[start.template], start.template, start.alignment, seed)
+        beliefs.append(with_parts(found, start.active))
+    if not turned and not partial:
         return tuple(map(compact, weigh(problem, templates, beliefs)))
     for start in turned:
         found = affine_beliefs(shape, problem, templates[start.template], start.template, start.alignment, seed)
@@ -60,6 +67,12 @@ def exemplar_starts(shape, faces, templates, own, how_many, seed) -> tuple[Candi
     candidates = weigh(problem, templates, beliefs)
     kept = sorted(candidates, key=lambda candidate: -candidate.weight)[: max(how_many, 2)]
     return tuple(compact(candidate) for candidate in candidates if candidate in kept)
+
+
+def with_parts(beliefs: Beliefs, active: np.ndarray) -> Beliefs:
+    """A start with these parts (L,) alone; those that are not there have no probability."""
+    said = np.where(active, beliefs.segmentation, 0.0) + 1e-9 * active
+    return replace(beliefs, active=active, segmentation=said / said.sum(axis=1, keepdims=True))
 
 
 def exemplar_templates(shapes, groups, labels, part_names, seeds) -> Iterator[PartTemplates]:
