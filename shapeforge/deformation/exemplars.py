@@ -36,6 +36,10 @@ BROUGHT_ODDS = 0.0
 """Log odds, both opinions together, from which a part is believed that the family's templates bring to a shape whose
 best exemplar lacks it."""
 
+NOWHERE = -6.0
+"""Log odds that an exemplar's word counts for, to whose template of a part hardly any surface was left: it may sit
+elsewhere on this shape, a tailplane on top of the fin, and another exemplar that is sure of it is to be believed."""
+
 COMPACT = ("deformed", "variance", "segmentation")
 """Arrays of the beliefs that a fit holds in single precision, of every shape and exemplar."""
 
@@ -148,7 +152,7 @@ def lenders(candidates: Sequence[Candidate]) -> dict[int, int]:
 
 def _together(one: Beliefs, other: Beliefs) -> Float[np.ndarray, " L"]:
     """Log odds (L,) of the parts by both opinions; who was not asked has none, NaN where neither was."""
-    said = np.stack([one.misfit, other.misfit])
+    said = np.maximum(np.stack([one.misfit, other.misfit]), NOWHERE)  # NaN stays
     return np.where(np.isnan(said).all(axis=0), np.nan, np.nansum(said, axis=0))
 
 

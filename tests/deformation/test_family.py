@@ -11,7 +11,7 @@ from shapeforge.collection.families import generate
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.iterate import last
 from shapeforge.deformation import family
-from shapeforge.deformation.exemplars import WORTHLESS, believed_parts, leading, worth_hearing
+from shapeforge.deformation.exemplars import NOWHERE, WORTHLESS, believed_parts, leading, worth_hearing
 from shapeforge.deformation.factors import FLOORS
 from shapeforge.deformation.fit import HEARD_ROUNDS, fit_templates
 from shapeforge.deformation.hierarchy import family_templates
@@ -85,11 +85,11 @@ def test_a_part_that_the_best_exemplar_lacks_is_as_likely_there_as_not(family_fi
     exemplar = next(one for one in state.candidates[2] if not one.family)
     without_leg = np.arange(len(names)) != leg
 
-    def candidates(odds: float, painted: bool = False):
+    def candidates(odds: float, painted: bool = False, against: float = np.nan):
         belief = of_family.beliefs
         said = np.where(without_leg, belief.misfit, odds)
         evidence = np.full_like(belief.evidence, leg if painted else -1)
-        lacking = replace(exemplar.beliefs, active=without_leg, misfit=np.full(len(names), np.nan))
+        lacking = replace(exemplar.beliefs, active=without_leg, misfit=np.where(without_leg, np.nan, against))
         return (
             replace(of_family, beliefs=replace(belief, misfit=said, evidence=evidence), weight=1.0),
             replace(exemplar, beliefs=lacking, weight=0.5),
@@ -98,6 +98,9 @@ def test_a_part_that_the_best_exemplar_lacks_is_as_likely_there_as_not(family_fi
     assert believed_parts(candidates(0.5))[leg]
     assert not believed_parts(candidates(-0.5))[leg]
     assert believed_parts(candidates(-0.5, painted=True))[leg]
+    # an exemplar to whose template no surface was left speaks against it, but not against one that is quite sure
+    assert believed_parts(candidates(-NOWHERE + 0.5, against=-np.inf))[leg]
+    assert not believed_parts(candidates(-NOWHERE - 0.5, against=-np.inf))[leg]
 
 
 def test_an_exemplar_far_behind_the_best_is_given_up(family_fit):
