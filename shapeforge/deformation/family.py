@@ -23,6 +23,7 @@ from shapeforge.deformation.components import mostly_spare
 from shapeforge.deformation.exemplars import Candidate, blend, compact, weigh, weighted
 from shapeforge.deformation.factors import FLOORS, Covariances
 from shapeforge.deformation.hierarchy import Hierarchy, Link, deformed_family, family_templates
+from shapeforge.deformation.partial import partial_starts
 from shapeforge.deformation.shape_fit import work_on_shape
 from shapeforge.deformation.starts import affine_beliefs
 from shapeforge.deformation.templates import PartTemplates
@@ -104,9 +105,9 @@ def family_starts(
 ) -> tuple[Candidate, ...]:
     """Two starts of the family's templates on one shape that exemplars have explained.
 
-    One with all parts under the affine map of the whole, which may find again what the exemplars had lost; one with the
-    parts and components that are believed in, each part under the affine map that takes it to the surface believed to
-    be its own.
+    One with all parts under the affine map of the whole, which may find again what the exemplars had lost, or without
+    those without which the rest explains the shape better; one with the parts and components that are believed in, each
+    part under the affine map that takes it to the surface believed to be its own.
     """
     problem, beliefs = make_problem(shape, faces), blend(candidates)
     top, index = hierarchy.top, len(templates)
@@ -114,8 +115,17 @@ def family_starts(
     believed = np.bincount(top.label[there], minlength=top.n_parts) > 0
     if not believed.any():
         believed, there = top.has_part(), np.ones(top.n_points, bool)
-    alignment = _aligned(top.points[there], shape.points, beliefs.pose)
-    whole = affine_beliefs(shape, problem, top, index, alignment)
+    lying = problem.points @ beliefs.pose.T, problem.normals @ beliefs.pose.T  # as the family lies
+    alignment = affine_align(top.points[there], lying[0])
+    whole = affine_beliefs(shape, problem, top, index, _turned_back(alignment, beliefs.pose))
+    painted = np.unique(problem.evidence[problem.evidence >= 0])
+    partial = partial_starts(*lying, [top], [alignment], painted)
+    first, parts = whole, top.has_part()
+    for start in partial:  # one at most
+        first, parts = (
+            affine_beliefs(shape, problem, top, index, _turned_back(start.alignment, beliefs.pose)),
+            start.active,
+        )
     deformed, maps, offsets = whole.deformed.copy(), whole.maps.copy(), whole.offsets.copy()
     likeliest = beliefs.segmentation.argmax(axis=1)
     for part in np.flatnonzero(believed).tolist():
@@ -125,7 +135,7 @@ def family_starts(
             maps[part], offsets[part] = own.matrix @ maps[part], own(offsets[part][None])[0]
             deformed[mine] = own(deformed[mine])
     starts = [
-        replace(_believing(whole, beliefs, top.has_part()), pose=beliefs.pose),
+        replace(_believing(first, beliefs, parts), pose=beliefs.pose),
         replace(
             _believing(whole, beliefs, believed), pose=beliefs.pose, deformed=deformed, maps=maps, offsets=offsets,
             spare=mostly_spare(top, believed[top.label] & ~there),
@@ -140,9 +150,8 @@ def better_start(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
     return tuple(one for one in candidates if one is best or not one.family)
 
 
-def _aligned(template: np.ndarray, points: np.ndarray, pose: Float[np.ndarray, "3 3"]) -> Alignment:
-    """The affine map of template points onto a shape's, found as the family lies."""
-    found = affine_align(template, points @ pose.T)
+def _turned_back(found: Alignment, pose: Float[np.ndarray, "3 3"]) -> Alignment:
+    """An affine map that was found as the family lies, to the shape as it lies itself."""
     return Alignment(pose.T @ found.matrix, pose.T @ found.offset, found.residual, found.start)
 
 
