@@ -56,6 +56,15 @@ def part_prevalence(templates: Sequence[PartTemplates]) -> Float[np.ndarray, " L
     return (has.sum(axis=0) + 1.0) / (len(has) + 2.0)
 
 
+def given_parts(problem: Problem, n_parts: int) -> Bool[np.ndarray, " L"]:
+    """Parts (L,) that are not in question: painted on the shape, or proposed for enough of it."""
+    given = np.bincount(problem.evidence[problem.evidence >= 0], minlength=n_parts) > 0
+    if problem.leaning is not None:
+        proposed = np.bincount(problem.leaning.argmax(axis=1), minlength=n_parts)
+        given |= proposed > SEEDED * len(problem.points)
+    return given
+
+
 def explained(
     problem: Problem, owner: Int[np.ndarray, " K"], candidates: Candidates, beliefs: Beliefs,
     unary: Float[np.ndarray, " 3"],
@@ -167,10 +176,7 @@ def switch_off_missing(
     """
     if np.sqrt(unary.mean()) > SHARPNESS:
         return beliefs
-    painted = np.bincount(problem.evidence[problem.evidence >= 0], minlength=templates.n_parts) > 0
-    if problem.leaning is not None:
-        proposed = np.bincount(problem.leaning.argmax(axis=1), minlength=templates.n_parts)
-        painted |= proposed > SEEDED * len(problem.points)
+    painted = given_parts(problem, templates.n_parts)
     found = existence_odds(
         problem, templates, candidates, correspondence, beliefs, unary, settle, owner=templates.label,
         asked=beliefs.active, intercept=INTERCEPT, weights=SIGNS, known={"prevalence": prevalence},

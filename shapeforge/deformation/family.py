@@ -21,13 +21,14 @@ from shapeforge.collection.shape import Shape
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.components import mostly_spare
 from shapeforge.deformation.exemplars import Candidate, blend, compact, weigh, weighted
+from shapeforge.deformation.existence import given_parts
 from shapeforge.deformation.factors import FLOORS, Covariances
 from shapeforge.deformation.hierarchy import Hierarchy, Link, deformed_family, family_templates
 from shapeforge.deformation.partial import partial_starts
 from shapeforge.deformation.shape_fit import work_on_shape
-from shapeforge.deformation.starts import affine_beliefs
+from shapeforge.deformation.starts import affine_beliefs, with_parts
 from shapeforge.deformation.templates import PartTemplates
-from shapeforge.deformation.updates import make_problem
+from shapeforge.deformation.updates import leaning_to, make_problem
 
 ROUNDS = 8
 """Outer rounds of the family's templates."""
@@ -87,11 +88,12 @@ def start_family(
     templates: tuple[PartTemplates, ...],
     candidates: Sequence[Sequence[Candidate]],
     hierarchy: Hierarchy,
+    seeds: Sequence[np.ndarray] | None = None,
 ) -> tuple[tuple[Candidate, ...], ...]:
     """Every shape's candidates, with two starts of the family's templates added (see ``family_starts``)."""
     starts = in_order(
         executor, family_starts, shapes, labels, repeat(shared(executor, templates)), candidates,
-        repeat(shared(executor, hierarchy)),
+        repeat(shared(executor, hierarchy)), seeds if seeds is not None else repeat(None),
     )  # fmt: skip
     return tuple(weighted([*one, *start]) for one, start in zip(candidates, starts, strict=True))
 
@@ -102,6 +104,7 @@ def family_starts(
     templates: tuple[PartTemplates, ...],
     candidates: Sequence[Candidate],
     hierarchy: Hierarchy,
+    seed: Float[np.ndarray, "P L"] | None = None,
 ) -> tuple[Candidate, ...]:
     """Two starts of the family's templates on one shape that exemplars have explained.
 
@@ -109,7 +112,7 @@ def family_starts(
     those without which the rest explains the shape better; one with the parts and components that are believed in, each
     part under the affine map that takes it to the surface believed to be its own.
     """
-    problem, beliefs = make_problem(shape, faces), blend(candidates)
+    problem, beliefs = make_problem(shape, faces, leaning_to(seed)), blend(candidates)
     top, index = hierarchy.top, len(templates)
     there = deformed_family(beliefs, hierarchy)[2]
     believed = np.bincount(top.label[there], minlength=top.n_parts) > 0
@@ -118,14 +121,10 @@ def family_starts(
     lying = problem.points @ beliefs.pose.T, problem.normals @ beliefs.pose.T  # as the family lies
     alignment = affine_align(top.points[there], lying[0])
     whole = affine_beliefs(shape, problem, top, index, _turned_back(alignment, beliefs.pose))
-    painted = np.unique(problem.evidence[problem.evidence >= 0])
-    partial = partial_starts(*lying, [top], [alignment], painted)
-    first, parts = whole, top.has_part()
-    for start in partial:  # one at most
-        first, parts = (
-            affine_beliefs(shape, problem, top, index, _turned_back(start.alignment, beliefs.pose)),
-            start.active,
-        )
+    first = whole
+    for start in partial_starts(*lying, [top], [alignment], given_parts(problem, top.n_parts)):  # one at most
+        found = affine_beliefs(shape, problem, top, index, _turned_back(start.alignment, beliefs.pose))
+        first = with_parts(found, start.active)
     deformed, maps, offsets = whole.deformed.copy(), whole.maps.copy(), whole.offsets.copy()
     likeliest = beliefs.segmentation.argmax(axis=1)
     for part in np.flatnonzero(believed).tolist():
@@ -135,7 +134,7 @@ def family_starts(
             maps[part], offsets[part] = own.matrix @ maps[part], own(offsets[part][None])[0]
             deformed[mine] = own(deformed[mine])
     starts = [
-        replace(_believing(first, beliefs, parts), pose=beliefs.pose),
+        replace(_believing(first, beliefs, first.active), pose=beliefs.pose),
         replace(
             _believing(whole, beliefs, believed), pose=beliefs.pose, deformed=deformed, maps=maps, offsets=offsets,
             spare=mostly_spare(top, believed[top.label] & ~there),

@@ -163,7 +163,7 @@ def fit_templates(
     while state.round < _last_round(state, rounds, family_rounds):
         first = state.family_from if state.family_from >= 0 else exemplar_rounds(rounds)
         if state.family is None and state.round >= first and len(state.templates) > 1 and family_rounds > 0:
-            state = _begin_family(state, shapes, each_shape, painted, executor)
+            state = _begin_family(state, shapes, each_shape, painted, seeds, executor)
         steps = _one_round(
             state, shapes, each_shape, groups, painted, seeds, rounds, family_rounds, inner, executor, prior
         )
@@ -210,14 +210,14 @@ def end_of(steps: Generator[Within, None, Any]) -> Any:
             return end.value
 
 
-def _begin_family(state: FitState, shapes, each_shape, painted, executor) -> FitState:
+def _begin_family(state: FitState, shapes, each_shape, painted, seeds, executor) -> FitState:
     """The exemplars are done: their templates are linked, and the family's start on every shape."""
     known = (state.templates, state.candidates)
     linked = family.link_family(executor, shapes, painted, *known, state.covariances)
     return replace(
         state, family=linked, templates=(*state.templates, linked.top),
         family_from=state.family_from if state.family_from >= 0 else state.round,
-        candidates=family.start_family(executor, each_shape(), painted, *known, linked),
+        candidates=family.start_family(executor, each_shape(), painted, *known, linked, seeds),
         covariances=replace(state.covariances, unary=np.full(3, family.SIGMA**2)),
     )  # fmt: skip
 

@@ -35,6 +35,10 @@ all of its parts when looked at closely."""
 HOPELESS, BEHIND = 6.0, 3.0
 """Nats behind the best from which a template is not tried with fewer parts, and from which what it found is dropped."""
 
+LEFT_OUT = -3.0
+"""Log odds of the existence of a part that was left out: of 32 sets of parts left out on generated chairs, 30 were
+indeed not there."""
+
 LEAST_SHARE = 0.1
 """Share of the template's points that must be left."""
 
@@ -53,12 +57,12 @@ def partial_starts(
     normals: Float[np.ndarray, "P 3"],
     templates: Sequence[PartTemplates],
     alignments: Sequence[Alignment],
-    kept: Int[np.ndarray, " n"],
+    kept: Bool[np.ndarray, " L"],
 ) -> list[PartialStart]:
     """Starts without some parts that explain a shape's ``points`` and ``normals`` (P, 3) better than all whole ones do.
 
-    At most one of each template; ``alignments`` are the maps of all of it.  Parts ``kept`` (painted on the shape) stay.
-    Parts are left out one by one: at a glance, then closely.
+    At most one of each template; ``alignments`` are the maps of all of it.  Parts ``kept`` (L,) stay (see
+    ``existence.given_parts``), the others are left out one by one: at a glance, then closely.
     """
     few = thinned(points, CLOSELY), thinned(normals, CLOSELY)
     whole = [
@@ -98,7 +102,7 @@ def _screened(points, normals, template: PartTemplates, whole: Alignment, kept) 
     while beam:
         smaller = {}
         for active in beam:
-            for part in np.setdiff1d(np.flatnonzero(active), kept):
+            for part in np.flatnonzero(active & ~kept):
                 left = active & (np.arange(len(active)) != part)
                 if share[left].sum() >= LEAST_SHARE:
                     smaller[left.tobytes()] = left

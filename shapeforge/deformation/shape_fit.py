@@ -23,6 +23,7 @@ from shapeforge.deformation.updates import (
     Summary,
     candidates_without,
     find_candidates,
+    leaning_to,
     make_problem,
     summarize,
     update_correspondences,
@@ -61,8 +62,7 @@ def work_on_shape(
     Proposed label probabilities ``seed`` (P, L) count as soft evidence, with the power ``seed_weight``.
     Raises FloatingPointError with the shape's name on numbers that are not finite.
     """
-    leaning = None if seed is None else seed_weight * np.log(np.asarray(seed, np.float64) + 1e-6)
-    problem = make_problem(shape, faces, leaning)
+    problem = make_problem(shape, faces, leaning_to(seed, seed_weight))
     prevalence = part_prevalence(templates[: len(templates) - family])
     pull = attraction(problem.descriptors, problem.offsets, problem.neighbour, covariances.segment)
     done, sums, moves = [], [], []

@@ -11,10 +11,11 @@ from shapeforge.collection.align import affine_align
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.exemplars import Candidate, compact, weigh
-from shapeforge.deformation.partial import partial_starts
+from shapeforge.deformation.existence import given_parts
+from shapeforge.deformation.partial import LEFT_OUT, partial_starts
 from shapeforge.deformation.pose import posed_starts
 from shapeforge.deformation.templates import PartTemplates, template_from_exemplar, template_from_points
-from shapeforge.deformation.updates import Problem, make_problem
+from shapeforge.deformation.updates import Problem, leaning_to, make_problem
 
 
 def affine_beliefs(
@@ -49,13 +50,13 @@ def exemplar_starts(shape, faces, templates, own, how_many, seed) -> tuple[Candi
 
     Poses and sets of parts compete as exemplars do, by weight; those that are far behind are given up here.
     """
-    problem = make_problem(shape, faces)
+    problem = make_problem(shape, faces, leaning_to(seed))
     alignments = [affine_align(template.points, shape.points) for template in templates]
     order = sorted(range(len(templates)), key=lambda g: (g != own, alignments[g].residual))[:how_many]
     beliefs = [affine_beliefs(shape, problem, templates[g], g, alignments[g], seed) for g in order]
     turned = posed_starts(shape.points, [template.points for template in templates], alignments)
-    painted = np.unique(problem.evidence[problem.evidence >= 0])
-    partial = partial_starts(problem.points, problem.normals, templates, alignments, painted)
+    given = given_parts(problem, templates[0].n_parts)
+    partial = partial_starts(problem.points, problem.normals, templates, alignments, given)
     for start in partial:
         found = affine_beliefs(shape, problem, templates[start.template], start.template, start.alignment, seed)
         beliefs.append(with_parts(found, start.active))
@@ -70,9 +71,10 @@ def exemplar_starts(shape, faces, templates, own, how_many, seed) -> tuple[Candi
 
 
 def with_parts(beliefs: Beliefs, active: np.ndarray) -> Beliefs:
-    """A start with these parts (L,) alone; those that are not there have no probability."""
+    """A start with these parts (L,) alone: the others that it had have no probability, and are doubted."""
     said = np.where(active, beliefs.segmentation, 0.0) + 1e-9 * active
-    return replace(beliefs, active=active, segmentation=said / said.sum(axis=1, keepdims=True))
+    odds = np.where(beliefs.active & ~active, LEFT_OUT, beliefs.misfit)
+    return replace(beliefs, active=active, segmentation=said / said.sum(axis=1, keepdims=True), misfit=odds)
 
 
 def exemplar_templates(shapes, groups, labels, part_names, seeds) -> Iterator[PartTemplates]:

@@ -89,6 +89,11 @@ def make_problem(shape: Shape, faces: np.ndarray | None = None, leaning: np.ndar
     )  # fmt: skip
 
 
+def leaning_to(seed: Float[np.ndarray, "P L"] | None, weight: float = 1.0) -> Float[np.ndarray, "P L"] | None:
+    """Soft evidence (nats, P x L) that label probabilities proposed for a shape are, with this power; None of none."""
+    return None if seed is None else weight * np.log(np.asarray(seed, np.float64) + 1e-6)
+
+
 def find_candidates(
     problem: Problem, templates: PartTemplates, beliefs: Beliefs, descriptor: Float[np.ndarray, " d"]
 ) -> Candidates:
