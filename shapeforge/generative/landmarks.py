@@ -29,12 +29,12 @@ def follow(
     kept: Float[np.ndarray, "H A"] | None = None,
     tolerance: float = 0.005,
 ) -> Latents:
-    """The latents of one shape, changed from ``start`` as is most likely when these ``points`` are where they are given.
+    """The latents of one shape, the most likely change of ``start`` when these ``points`` are where they are given.
 
     ``points`` are in normal coordinates, NaN where nothing is known; they are met up to about ``tolerance`` diagonals,
-    as far as the family can.  ``kept`` are rows over the logits of all layers side by side: these sums stay as they are,
-    each in units of its own standard deviation.  The same numbers from ``rng`` make the result a smooth function of the
-    points.  Raises ValueError where no point is known, or the part of one is absent.
+    as far as the family can.  ``kept`` are rows over the logits of all layers side by side: these sums, each in units
+    of its own standard deviation, stay as they are.  The same numbers from ``rng`` make the result a smooth function of
+    the points.  Raises ValueError where no point is known, or the part of one is absent.
     """
     known = np.flatnonzero(np.isfinite(points).all(axis=1))
     absent = sorted({machine.part_names[part] for part in machine.part[known] if not start.exists[0, part]})

@@ -228,7 +228,7 @@ class SliderView(_Watching):
         }
         self.buttons = {
             "Mean": lambda: self.start(Recipe("mean", sculptor.mean_base(), origin="mean")),
-            "Random": lambda: self.start(Recipe("random", sculptor.random_base(), origin="random")),
+            "Random": lambda: self.start(sculptor.drawn()),
             "Make the mesh": self.make_mesh,
         }
         row = []
