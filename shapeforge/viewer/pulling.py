@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from shapeforge.viewer.recipe import Place
 
-MET = 0.012
+MET = 0.02
 """Diagonals within which a point is where it is held."""
 
 

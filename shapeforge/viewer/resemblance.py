@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 SPARSE = 400
 """So many of the points, evenly chosen, tell how much shapes resemble each other."""
@@ -39,3 +39,16 @@ def resemblance(positions: Float[np.ndarray, "T K 3"], points: Float[np.ndarray,
     away = np.where(np.isfinite(away), away, ABSENT).mean(axis=1)
     weight = np.exp(-((away - away.min()) / max(0.25 * float(away.min()), 0.004)))
     return weight / weight.sum()
+
+
+def least_like(
+    positions: Float[np.ndarray, "T K 3"], exists: Bool[np.ndarray, "T L"], group: Int[np.ndarray, " T"], index: int
+) -> int:
+    """The shape that one is least like, of those in its group with the same parts, else of all; itself if it is alone."""
+    others = np.arange(len(positions)) != index
+    alike = others & (exists == exists[index]).all(axis=1) & (group == group[index])
+    among = np.flatnonzero(alike if alike.any() else others)
+    if not len(among):
+        return index
+    away = np.nanmean(np.linalg.norm(positions[among] - positions[index], axis=2), axis=1)
+    return int(among[np.nanargmax(away)])

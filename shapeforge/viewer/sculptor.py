@@ -26,7 +26,7 @@ from shapeforge.viewer.palette import label_colours
 from shapeforge.viewer.readiness import group_of
 from shapeforge.viewer.recipe import Place
 from shapeforge.viewer.recipe import Recipe as Recipe
-from shapeforge.viewer.resemblance import nearest_shape, resemblance
+from shapeforge.viewer.resemblance import least_like, nearest_shape, resemblance
 from shapeforge.viewer.session import Session
 from shapeforge.viewer.slider_names import changes, choose_names, what_moves
 
@@ -115,7 +115,7 @@ class Sculptor:
         if len(needed) or len(unwanted) or clamped or pins or session.near:
             found = draw_given(
                 self.machine, self.mixture, 1, rng=rng, clamped=clamped, needed=needed, unwanted=unwanted,
-                points=self.known(pins) if pins else None, start=self.latents_in_hand() if session.near else None,
+                points=self.reached() if pins else None, start=self.latents_in_hand() if session.near else None,
                 temperature=session.temperature,
             ).latents  # fmt: skip
         else:
@@ -298,6 +298,13 @@ class Sculptor:
         pins, exists = (self.session if recipe is None else recipe).pins, self.exists(recipe)
         return {point: place for point, place in pins.items() if exists[self.part[point]]}
 
+    def reached(self) -> Float[np.ndarray, "K 3"]:
+        """Where the shape in hand has its pinned points (K, 3), NaN for those that are free: as near as it gets."""
+        points, found = self.points(), np.full((len(self.part), 3), np.nan)
+        pinned = list(self.pinned())
+        found[pinned] = points[pinned]
+        return found
+
     def known(self, pins: Mapping[int, Place]) -> Float[np.ndarray, "K 3"]:
         """Where pins hold the points of a shape (K, 3), NaN for those that are free."""
         found = np.full((len(self.part), 3), np.nan)
@@ -323,16 +330,9 @@ class Sculptor:
 
         On the way between shapes that have different parts, a part has to come or go at some point.
         """
+        groups = np.array([group_of(self.session, one) for one in self.shape_names])
         index = self.shape_names.index(name)
-        others = np.arange(len(self.shape_names)) != index
-        alike = others & (self.observations.exists == self.observations.exists[index]).all(axis=1)
-        groups = [group_of(self.session, one) for one in self.shape_names]
-        alike &= np.array(groups) == groups[index]
-        among = np.flatnonzero(alike if alike.any() else others)
-        if not len(among):
-            return name
-        away = np.nanmean(np.linalg.norm(self.positions[among] - self.positions[index], axis=2), axis=1)
-        return self.shape_names[int(among[np.nanargmax(away)])]
+        return self.shape_names[least_like(self.positions, self.observations.exists, groups, index)]
 
     def place_on_map(
         self, embedding: Float[np.ndarray, "T 2"], points: Float[np.ndarray, "K 3"]

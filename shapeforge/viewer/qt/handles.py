@@ -203,5 +203,5 @@ class Handles:
                     marks += [Mark("line", at, to=there), Mark("ring", there)]
                 marks.append(Mark("pin", at, text="held" if held or point == self.pointed else ""))
             else:
-                marks.append(Mark("dot" if held else "halo" if point == self.pointed else "ring", at))
+                marks.append(Mark("dot" if held or point == self.pointed else "ring", at))
         return tuple(marks)

@@ -35,7 +35,8 @@ def add_actions(place: Any) -> None:
         "cube")  # fmt: skip
     add("between", "Between A and B", place.between.toggle, "B", "A shape on the way from one to another", "between")
     add("reset_sliders", "Reset", place.reset, "",
-        "All sliders that are not locked back to the shape by itself; all pins away", "")  # fmt: skip
+        "All sliders that are not locked back to the shape by itself; all pins away", "",
+        lambda session: can_reset(place))  # fmt: skip
     add("unpin", "Take a pin away", place.handles.unpin_newest, "Del", "The pin under the pointer, else the newest",
         "pin", lambda session: can_unpin(place))  # fmt: skip
     add("unpin_all", "Take all away", place.handles.unpin_all, "Shift+Del", "The shape as the sliders make it", "",
@@ -71,6 +72,14 @@ def can_reset_parts(place: Any) -> Verdict:
     if not place.sculptor.has_machine:
         return ready(place)
     return YES if place.session.parts_on else (False, "No part has been switched.")
+
+
+def can_reset(place: Any) -> Verdict:
+    """A slider that is not locked has been moved, or a point pinned."""
+    if not place.sculptor.has_machine:
+        return ready(place)
+    moved = any(value for index, value in place.session.sliders.items() if index not in place.session.locked)
+    return YES if moved or place.session.pins else (False, "No free slider has been moved, and nothing is pinned.")
 
 
 def can_unpin(place: Any) -> Verdict:

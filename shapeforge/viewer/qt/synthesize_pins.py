@@ -14,6 +14,8 @@ from shapeforge.viewer.qt.bind import Binding, action_button
 from shapeforge.viewer.qt.widgets import Swatch, button, clear, column, label, row, section, set_style
 from shapeforge.viewer.sculptor import Sculptor
 
+OUT_OF_REACH = ".\nThe family has no shape that reaches it together with all else that is asked for."
+
 
 class PinRow(QFrame):
     """One pin: its part, how far off the point is, and a button that takes it away."""
@@ -33,9 +35,9 @@ class PinRow(QFrame):
     def show_distance(self, distance: float) -> None:
         """Show how far (diagonals) the point is from where it is held."""
         reached = distance <= MET
-        self.off.setText("there" if reached else f"{100 * distance:.1f}% off")
+        self.off.setText(f"{100 * distance:.1f}% off")
         set_style(self.off, "role", "caption" if reached else "caption_warning")
-        self.off.setToolTip("" if reached else "No shape of this family reaches it with all else that is asked for")
+        self.off.setToolTip(f"of the shape's size from where it is held{'' if reached else OUT_OF_REACH}")
 
     def enterEvent(self, event: QEvent) -> None:
         self.entered.emit()
