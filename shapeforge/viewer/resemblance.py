@@ -44,7 +44,7 @@ def resemblance(positions: Float[np.ndarray, "T K 3"], points: Float[np.ndarray,
 def least_like(
     positions: Float[np.ndarray, "T K 3"], exists: Bool[np.ndarray, "T L"], group: Int[np.ndarray, " T"], index: int
 ) -> int:
-    """The shape that one is least like, of those in its group with the same parts, else of all; itself if it is alone."""
+    """The shape that one is least like, of those in its group with the same parts, else of all; itself if alone."""
     others = np.arange(len(positions)) != index
     alike = others & (exists == exists[index]).all(axis=1) & (group == group[index])
     among = np.flatnonzero(alike if alike.any() else others)
