@@ -198,7 +198,7 @@ def wait_until(application, there: Callable[[], bool], seconds: float = 20.0) ->
 
 @pytest.fixture
 def place(_synthesize, qapp):
-    """The place as it is when it is first entered: the mean of the family, nothing moved, pinned, locked or switched."""
+    """The place as it is when it is first entered: the mean of the family, nothing moved, pinned or switched."""
     made, session = _synthesize, _synthesize.session
     made.shows.spin.set_on(False)
     made.shows.heat(None)
