@@ -26,7 +26,7 @@ from shapeforge.viewer.palette import label_colours
 from shapeforge.viewer.readiness import group_of
 from shapeforge.viewer.recipe import Place
 from shapeforge.viewer.recipe import Recipe as Recipe
-from shapeforge.viewer.resemblance import least_like, nearest_shape, resemblance
+from shapeforge.viewer.resemblance import blend, least_like, nearest_shape
 from shapeforge.viewer.session import Session
 from shapeforge.viewer.slider_names import changes, choose_names, what_moves
 
@@ -337,8 +337,8 @@ class Sculptor:
     def place_on_map(
         self, embedding: Float[np.ndarray, "T 2"], points: Float[np.ndarray, "K 3"]
     ) -> tuple[float, float]:
-        """Where the shape in hand lies on a map of the family: among the shapes it resembles most."""
-        x, y = resemblance(self.positions, points) @ embedding
+        """Where the shape in hand lies on a map of the family: among the shapes that it is a mean of."""
+        x, y = np.clip(blend(self.positions, points) @ embedding, embedding.min(axis=0), embedding.max(axis=0))
         return float(x), float(y)
 
     # ---- words ---------------------------------------------------------------------------------------------------

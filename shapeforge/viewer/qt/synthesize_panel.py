@@ -107,6 +107,7 @@ class SynthesizePlace:
         self.inspector.locking.connect(self._lock)
         self.inspector.pins.pointed.connect(self.handles.point_at)
         self.inspector.pins.unpinned.connect(self.handles.unpin)
+        self.inspector.pins.focus_lost.connect(self.centre.setFocus)
         self.inspector.switched.connect(self._switch)
         self.inspector.hovered.connect(self.shows.heat)
         self.inspector.taken.connect(self._take_part)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from PySide6.QtCore import QEvent, Signal
-from PySide6.QtWidgets import QFrame, QWidget
+from PySide6.QtCore import QEvent, Qt, Signal
+from PySide6.QtWidgets import QApplication, QFrame, QWidget
 
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.palette import as_hex
@@ -28,6 +28,7 @@ class PinRow(QFrame):
         self.setObjectName("row")
         self.off = label("", "caption")
         self.away = button(icon="close", kind="icon", tooltip="Take this pin away")
+        self.away.setFocusPolicy(Qt.FocusPolicy.TabFocus)  # a click leaves the keys with the view
         self.away.setAccessibleName(f"Take the pin of the {name} away")
         self.setLayout(row(Swatch(colour), 2, label(name), None, self.off, self.away, spacing=6))
         self.setFixedHeight(26)
@@ -51,6 +52,7 @@ class PinSection(QWidget):
 
     pointed = Signal(object)
     unpinned = Signal(int)
+    focus_lost = Signal()
 
     def __init__(self, sculptor: Sculptor, actions: Actions, binding: Binding) -> None:
         super().__init__()
@@ -65,8 +67,11 @@ class PinSection(QWidget):
 
     def show_pins(self, points: Float[np.ndarray, "K 3"]) -> None:
         """Show the pins of the shape in hand, which has these points."""
-        pins = self._sculptor.pinned()
-        if sorted(pins) != sorted(self.rows):
+        pins, focus = self._sculptor.pinned(), QApplication.focusWidget()
+        others = sorted(pins) != sorted(self.rows)
+        if others and focus is not None and self.isAncestorOf(focus):
+            self.focus_lost.emit()  # it may be gone in a moment, and Qt would give the keys to whatever comes next
+        if others:
             self._fill(sorted(pins))
         for point, place in pins.items():
             self.rows[point].show_distance(off_by(points, point, place))
