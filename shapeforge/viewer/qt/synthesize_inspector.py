@@ -176,9 +176,9 @@ class SynthesizeInspector(QFrame):
         recipe = self.sculptor.recipe
         new = recipe.route == "surface"
         no_union = "A new surface is always one closed solid." if new else missing_modeller()
-        no_colours = "A new surface has no materials." if new else ""
-        if shape is not None and not new and shape.colours is None:
-            no_colours = "None of the shapes that the parts come from has materials."
+        no_colours = ""
+        if shape is not None and shape.colours is None:
+            no_colours = "None of the files that the parts come from has colours or materials."
         problem = "" if shape is None else str(shape.measures.get("not_united", "")).removeprefix("union: ")
         self.mesh.show_choice(
             recipe.route, recipe.union, self.session.mesh_colours, no_union=no_union, no_colours=no_colours,

@@ -90,7 +90,6 @@ class FamilyMap(QWidget):
         super().__init__()
         self.setFixedHeight(height)
         self.setMouseTracking(True)
-        self.setCursor(Qt.CursorShape.PointingHandCursor)
         self.places = np.zeros((0, 2))
         self._group = np.zeros(0, int)
         self._names: tuple[str, ...] = ()
@@ -170,6 +169,7 @@ class FamilyMap(QWidget):
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
         index = self._at(event)
         self.setToolTip("" if index is None else self._names[index])
+        self.setCursor(Qt.CursorShape.ArrowCursor if index is None else Qt.CursorShape.PointingHandCursor)
 
     def mouseReleaseEvent(self, event: QMouseEvent) -> None:
         index = self._at(event)

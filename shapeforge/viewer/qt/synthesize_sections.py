@@ -109,6 +109,8 @@ class MeshSection(QWidget):
         self.colours.set_value("parts" if no_colours else colours)
         self.colours.button("parts").setToolTip("The colours of the parts, as everywhere in the window")
         self.colours.button("sources").setEnabled(not no_colours)
-        self.colours.button("sources").setToolTip(no_colours or "The materials of the shapes that the parts come from")
+        self.colours.button("sources").setToolTip(
+            no_colours or "The files' own colours, of the shapes that the parts come from"
+        )
         self.note.setText(problem)
         self.note.setVisible(bool(problem))
