@@ -267,7 +267,7 @@ class SliderView(_Watching):
     def refresh(self) -> None:
         if self.sculptor.reload():  # learned anew: what was made belongs to the old family
             self._sources = None
-        session, exists = self.session, self.sculptor.exists()
+        exists = self.sculptor.exists()
         self._quiet, values = True, self.sculptor.values()  # the session leads, the widgets follow
         for index, slider in enumerate(self.sliders):
             slider.value = min(max(float(values[index]), slider.min), slider.max)
