@@ -38,7 +38,7 @@ class Handles:
     def __init__(self, session: Session, view: View3D, sculptor: Sculptor, let_go: Callable[[str], None]) -> None:
         self.session, self.view, self.sculptor, self.let_go = session, view, sculptor, let_go
         self.points = self.shown = np.zeros(0, int)
-        self.places = np.zeros((0, 3))
+        self.places = self._seen = np.zeros((0, 3))
         self.held: Held | None = None
         self.pointed: int | None = None
         """The point whose handle is under the pointer."""
@@ -65,6 +65,7 @@ class Handles:
         if surface is not None and len(surface):
             away = [((surface - place) ** 2).sum(axis=1).argmin() for place in self.places]
             self.places = np.asarray(surface, float)[away]
+        self._seen = self.places.copy()
         for row, point in enumerate(self.shown):
             if point in pins and off_by(points, int(point), pins[int(point)]) > MET:
                 self.places[row] = pins[int(point)]
@@ -190,17 +191,16 @@ class Handles:
     def marks(self) -> tuple[Mark, ...]:
         """Rings to pull at and pins, the one in hand with an arrow from where it was.
 
-        From a pin that the shape does not reach a dashed line leads to the point that is held."""
+        From a pin that the shape does not reach a dashed line leads to where the point is seen."""
         marks, pins = [], self.sculptor.pinned()
-        for k, place in zip(self.shown, self.places, strict=True):
+        for k, place, seen in zip(self.shown, self.places, self._seen, strict=True):
             at, point = as_place(place), int(k)
             held = self.held is not None and self.held.point == point
             if held and self._moved:
                 marks.append(Mark("arrow", as_place(self.held.seen), to=at))
             if point in pins:
                 if off_by(self.points, point, pins[point]) > MET:
-                    there = as_place(self.points[point])
-                    marks += [Mark("line", at, to=there), Mark("ring", there)]
+                    marks += [Mark("line", at, to=as_place(seen)), Mark("ring", as_place(seen))]
                 marks.append(Mark("pin", at, text="held" if held or point == self.pointed else ""))
             else:
                 marks.append(Mark("dot" if held or point == self.pointed else "ring", at))
