@@ -146,7 +146,8 @@ def test_pins_are_put_and_taken_away_in_many_ways(place, qtbot):
     assert list(session.pins) == points[1:] and place.sculptor.recipe.label.endswith("unpinned")
     where = at(place.view.place_of(place.handles.places[row_of(place, points[1])]))
     QTest.mouseMove(target, where)
-    place.view.hovered.emit(None)  # the pointer has moved: whose handle is under it is asked
+    qtbot.waitUntil(lambda: place.handles.pointed == points[1], timeout=LONG)
+    assert "Ctrl+click" in target.toolTip() and target.cursor().shape() is Qt.CursorShape.OpenHandCursor
     qtbot.keyClick(place.centre, Qt.Key.Key_Delete)
     assert list(session.pins) == [points[2]]
     qtbot.mouseClick(target, RIGHT, NONE, at(place.view.place_of(place.handles.places[row_of(place, points[2])])))
@@ -247,9 +248,7 @@ def test_a_slider_is_pulled_against_pins(place, qtbot):
     slider = place.inspector.rows[0].slider
     before, goal = place.points.copy(), slider.inner[1] if slider.value < np.mean(slider.inner) else slider.inner[0]
     slide(qtbot, slider, goal)
-    free = place.sculptor.points(place.sculptor.recipes[0])
     assert np.nanmax(np.abs(place.points - before)) > 1e-3 and place.session.pins == pins
-    assert np.array_equal(np.nan_to_num(free), np.nan_to_num(before)) or len(pins) == 2
     assert max(off_by(place.points, point, pin) for point, pin in pins.items()) < 0.03
     assert slider.value == pytest.approx(np.clip(place.sculptor.values()[0], slider.low, slider.high), abs=1e-6)
 
@@ -357,7 +356,6 @@ def test_the_way_between_two_shapes_is_dragged(place, qtbot):
     qtbot.mouseClick(place.between_button, LEFT)
     bar, count = place.between.bar, len(place.sculptor.recipes)
     assert bar.isVisible() and place.between_button.isChecked() and place.between.share == 0.5
-    a, b = (place.sculptor.points(place.sculptor.recipe).copy() for _ in range(2))
     slider = bar.slider
     span, y = slider.width() - 16, slider.height() // 2
     start = 8 + span * slider.value() / 100
@@ -373,7 +371,7 @@ def test_the_way_between_two_shapes_is_dragged(place, qtbot):
     first, second = (place.sculptor.base_of(name) for name in place.between.ends)
     expected = place.sculptor.between(first, second, place.between.share)
     np.testing.assert_allclose(place.sculptor.recipe.base.first, expected.first, atol=1e-6)
-    assert bar.value.text() == f"{place.between.share:.0%}" and a.shape == b.shape
+    assert bar.value.text() == f"{place.between.share:.0%}"
     assert place.inspector.map.ends is not None
     qtbot.mouseClick(place.between_button, LEFT)
     assert not bar.isVisible()
