@@ -24,12 +24,12 @@ SHAPES, POINTS = 20, 1500
 IN_DOCS = (
     "collection-dark", "paint-dark", "fit-dark", "correspondence-dark", "synthesize-dark",
     "collection-light", "fit-light", "correspondence-light", "synthesize-light", "correspondence-large",
-    "preview-dark", "refit-dark", "gallery-dark", "surface-dark",
+    "preview-dark", "refit-dark", "pins-dark", "gallery-dark", "surface-dark",
 )  # fmt: skip
 
 STATES = (
-    "start", "preview", "reading", "problems", "unpainted", "busy", "refit", "random", "gallery", "surface", "grid",
-    "landmarks", "unsure", "stale", "failed", "large", "turning",
+    "start", "preview", "reading", "problems", "unpainted", "busy", "refit", "random", "pins", "gallery", "surface",
+    "grid", "landmarks", "unsure", "stale", "failed", "large", "turning",
 )  # fmt: skip
 """Other states than the places after a full run; ``--all`` makes all of their pictures."""
 NEW = ("preview", "problems", "unpainted")
@@ -240,6 +240,19 @@ class Tour(Hands):
         self.meshed(place)
         self.key("R")
         self.meshed(place)
+
+    def pins(self, project: Path, theme: str) -> None:
+        """Two handles pulled one after the other: both points are held, and the pointer is at the second."""
+        self.open(project, theme, SMALL)
+        place = self.go("synthesize")
+        self.meshed(place)
+        for across, up in ((-35, -15), (40, 10)):
+            free = [i for i, point in enumerate(place.handles.shown) if int(point) not in place.session.pins]
+            x, y = place.view.place_of(place.handles.places[free[0]])
+            self.drag(place.view.plotter, [(x, y), (x + across / 2, y + up / 2), (x + across, y + up)])
+            self.meshed(place)
+        row = list(place.handles.shown).index(list(place.session.pins)[-1])
+        self.hover(place.view.plotter, place.view.place_of(place.handles.places[row]))
 
     def gallery(self, project: Path, theme: str) -> None:
         """A dozen draws, all of them meshes."""

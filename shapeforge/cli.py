@@ -261,7 +261,7 @@ def synthesize(
         bool | None, typer.Option("--union/--no-union", help="Make all parts one closed solid (needs manifold3d).")
     ] = None,
     colours: Annotated[
-        str | None, typer.Option(help="parts: one for each; sources: of the materials of the shapes (first: parts).")
+        str | None, typer.Option(help="parts: one for each; sources: those of the shapes' files (first: parts).")
     ] = None,
     take: Annotated[
         list[str] | None,

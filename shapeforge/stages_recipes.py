@@ -16,6 +16,7 @@ from shapeforge.store import Project
 from shapeforge.store_arrays import write_text
 
 ENDING = ".recipe.json"
+UNIT = "1 is the diagonal of a shape of the family; y is up"
 
 
 def recipe_of(project: Project, latents: Any, shape: Any, **more: Any) -> dict[str, Any]:
@@ -26,7 +27,8 @@ def recipe_of(project: Project, latents: Any, shape: Any, **more: Any) -> dict[s
     names = tuple(shape.part_names)
     return {
         "format": "shapeforge recipe", "version": 1, "project": project.name, "machine": project.machine_id,
-        "fit": project.fit_id, **more, "parts": [n for n, on in zip(names, latents.exists[0], strict=True) if on],
+        "fit": project.fit_id, **more, "unit": UNIT,
+        "parts": [n for n, on in zip(names, latents.exists[0], strict=True) if on],
         "sources": {n: s for n, s in zip(names, shape.sources, strict=True) if s},
         "measures": json.loads(json.dumps(dict(shape.measures), default=float)),
         "hidden": [[float(x) for x in layer[0]] for layer in latents.layers],

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 GREY = (160, 160, 160)
+MOST_LOOKS, MOST_MATERIALS = 8, 64
 
 
 def write_mesh(
@@ -28,7 +29,8 @@ def write_mesh(
     part; PLY colours on vertices and faces and an int face property ``part``; OBJ groups ``g part`` in the order of
     the triangles, with a .mtl beside it; STL the surface alone.  Vertices and the order of triangles are kept, except
     in GLB, where each node has the vertices of its part.  ``triangle_colours`` replace those of the parts; a part of
-    several colours then has that many nodes in GLB.
+    several colours then has that many nodes in GLB, or (of more than MOST_LOOKS) one with colours at its vertices; OBJ
+    keeps the MOST_MATERIALS colours of a part that tell most.
     """
     path = Path(path)
     writers = {".glb": _glb, ".ply": _ply, ".obj": _obj, ".stl": _stl}
@@ -63,6 +65,19 @@ def _looks(part: np.ndarray, colours: np.ndarray, words: Sequence[str]) -> tuple
     return look.reshape(-1), names, rows[:, 1:].astype(np.uint8)
 
 
+def _few_colours(part: np.ndarray, colours: np.ndarray) -> np.ndarray:
+    """Colours (N, 3) with at most MOST_MATERIALS of them in each part, by median cut."""
+    from PIL import Image
+
+    colours = np.array(colours, np.uint8)
+    for label in np.unique(part):
+        own = part == label
+        if len(np.unique(colours[own], axis=0)) > MOST_MATERIALS:
+            cut = Image.fromarray(colours[own][None]).quantize(MOST_MATERIALS, Image.Quantize.MEDIANCUT)
+            colours[own] = np.asarray(cut.convert("RGB"))[0]
+    return colours
+
+
 def write_atomically(path: Path, data: bytes) -> None:
     """Write ``data`` so that ``path`` is at any moment the old file or the new one, whole."""
     handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
@@ -82,7 +97,18 @@ def write_atomically(path: Path, data: bytes) -> None:
 def _glb(path, vertices, triangles, part, names, colours) -> None:
     import trimesh
 
-    scene = trimesh.Scene()
+    scene, rows = trimesh.Scene(), np.unique(np.column_stack([part, colours]), axis=0)[:, 0]
+    many = np.isin(part, [label for label in np.unique(rows) if np.count_nonzero(rows == label) > MOST_LOOKS])
+    for label in np.unique(part[many]):
+        own = part == label
+        corners = np.column_stack([triangles[own].reshape(-1), np.repeat(colours[own], 3, axis=0)])
+        used, local = np.unique(corners, axis=0, return_inverse=True)  # a vertex where colours meet has one for each
+        shades = np.column_stack([used[:, 1:], np.full(len(used), 255)]).astype(np.uint8)
+        mesh = trimesh.Trimesh(
+            vertices[used[:, 0]], local.reshape(-1, 3), vertex_colors=shades, process=False
+        )  # fmt: skip
+        scene.add_geometry(mesh, node_name=names[label], geom_name=names[label])
+    triangles, part, colours = triangles[~many], part[~many], colours[~many]
     look, words, shades = _looks(part, colours, names)
     for index, (name, shade) in enumerate(zip(words, shades, strict=True)):
         used, local = np.unique(triangles[look == index], return_inverse=True)
@@ -118,7 +144,7 @@ def _ply(path, vertices, triangles, part, names, colours) -> None:
 def _obj(path, vertices, triangles, part, names, colours) -> None:
     words = ["_".join(name.split()) or f"part_{i}" for i, name in enumerate(names)]  # a group name has no blanks
     material = path.with_suffix(".mtl")
-    look, looks, shades = _looks(part, colours, words)
+    look, looks, shades = _looks(part, _few_colours(part, colours), words)
     looks = ["_".join(name.split()) for name in looks]
     library = [
         f"newmtl {name}\nKd {' '.join(f'{c / 255:.4f}' for c in shade)}\n"

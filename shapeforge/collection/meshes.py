@@ -13,10 +13,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
 from shapeforge.collection import _kernels_polygons as kernels
-from shapeforge.collection.materials import obj_colours
+from shapeforge.collection.materials import PLAIN, gltf_colours, obj_colours, obj_vertex_colours, of_corners
 from shapeforge.collection.mesh_files import write_mesh
 from shapeforge.collection.records import CUT_SHORT, EXPORT_AGAIN, MeshError, Records, read_obj, read_off, read_ply
 from shapeforge.collection.shape import Mesh
@@ -49,9 +49,22 @@ def read_mesh(path: str | Path) -> Mesh:
     if not data.strip():
         raise MeshError(path, "the file is empty", CUT_SHORT)
     if ending in RECORD_READERS:
-        mesh = _checked(path, RECORD_READERS[ending](path, data))
-        return mesh if ending != ".obj" else replace(mesh, colours=obj_colours(path, data, mesh.n_faces))
-    return _checked(path, _read_triangles(path, ending[1:], data))
+        records = RECORD_READERS[ending](path, data)
+    else:
+        records = _read_triangles(path, ending[1:], data)
+    mesh = _checked(path, records)
+    return replace(mesh, colours=_colours(path, data if ending == ".obj" else None, records))
+
+
+def _colours(path: Path, text: bytes | None, records: Records) -> UInt8[np.ndarray, "F 3"] | None:
+    """Colours of the face records: their own, else those of materials (of the ``text`` of an OBJ file), else the mean
+    of their corners'; None where the file has none."""
+    found, corners = records.face_colours, records.vertex_colours
+    if text is not None:
+        found, corners = obj_colours(path, text, len(records.counts)), obj_vertex_colours(text, len(records.vertices))
+    if found is None and corners is not None:
+        found = of_corners(corners, records.corners, records.counts)
+    return found
 
 
 def _checked(path: Path, records: Records) -> Mesh:
@@ -107,8 +120,12 @@ def _read_triangles(path: Path, kind: str, data: bytes) -> Records:
 
     try:
         # the resolver looks beside the file only: nothing is ever fetched over a network
-        scene = trimesh.load_scene(path, file_type=kind, process=False, skip_materials=True)
+        try:
+            scene = trimesh.load_scene(path, file_type=kind, process=False)
+        except Exception:  # a texture that is missing or damaged is no reason to refuse the mesh
+            scene = trimesh.load_scene(path, file_type=kind, process=False, skip_materials=True)
         vertices, triangles, total = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
+        shades: list[np.ndarray | None] = []
         for node in scene.graph.nodes_geometry:
             transform, name = scene.graph[node]
             geometry = scene.geometry[name]
@@ -118,6 +135,7 @@ def _read_triangles(path: Path, kind: str, data: bytes) -> Records:
                 order = slice(None, None, -1 if np.linalg.det(transform[:3, :3]) < 0 else 1)
                 triangles.append(np.asarray(geometry.faces, np.int64)[:, order] + total)
                 total += len(geometry.vertices)
+                shades.append(None if kind == "stl" else gltf_colours(geometry))
     except Exception as error:  # trimesh lets whatever its parsers meet escape
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise MeshError(path, f"it cannot be read as {kind} ({reason})", EXPORT_AGAIN) from error
@@ -127,7 +145,11 @@ def _read_triangles(path: Path, kind: str, data: bytes) -> Records:
         # STL repeats every corner; equal corners are one vertex
         points, back = np.unique(points, axis=0, return_inverse=True)
         corners = back.reshape(-1)[corners]
-    return Records(points, corners.reshape(-1).astype(np.int64), np.full(len(corners), 3, np.int64))
+    colours = None
+    if any(shade is not None for shade in shades):
+        plain = [np.tile(np.uint8(PLAIN), (len(own), 1)) for own in triangles[1:]]
+        colours = np.concatenate([own if own is not None else grey for own, grey in zip(shades, plain, strict=True)])
+    return Records(points, corners.reshape(-1).astype(np.int64), np.full(len(corners), 3, np.int64), colours)
 
 
 def repair_notes(mesh: Mesh) -> tuple[str, ...]:

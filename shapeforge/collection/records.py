@@ -7,13 +7,15 @@ degenerate ones too.  Formats: OBJ (Wavefront, appendix B), OFF (Geomview manual
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
 from shapeforge.collection import _kernels_text as kernels
+from shapeforge.collection.materials import as_colours
 
 
 class MeshError(ValueError):
@@ -36,11 +38,16 @@ CUT_SHORT = "The file was probably cut short: copy or download it again"
 
 @dataclass(frozen=True, eq=False)
 class Records:
-    """Vertices and face records of a file: record k has ``counts[k]`` corners, one after the other in ``corners``."""
+    """Vertices and face records of a file: record k has ``counts[k]`` corners, one after the other in ``corners``.
+
+    Colours (red, green, blue) are those of the faces and of the vertices, where the file has any.
+    """
 
     vertices: Float[np.ndarray, "V 3"]
     corners: Int[np.ndarray, " C"]
     counts: Int[np.ndarray, " F"]
+    face_colours: UInt8[np.ndarray, "F 3"] | None = None
+    vertex_colours: UInt8[np.ndarray, "V 3"] | None = None
 
 
 TOKEN = re.compile(rb"[^\0- ]+")
@@ -106,12 +113,12 @@ def read_obj(path: Path, data: bytes) -> Records:
 
 
 # comments and blank lines, then the keyword; counts may follow on the same line, even without a blank (ModelNet)
-OFF_KEYWORD = re.compile(rb"(?:\s|#[^\n]*\n)*(?:ST)?C?N?(?P<four>4?)OFF(?P<binary>[ \t]+BINARY)?")
+OFF_KEYWORD = re.compile(rb"(?:\s|#[^\n]*\n)*(?P<prefix>(?:ST)?C?N?)(?P<four>4?)OFF(?P<binary>[ \t]+BINARY)?")
 OFF_WITHOUT_KEYWORD = re.compile(rb"(?:\s|#[^\n]*\n)*\d")
 
 
 def read_off(path: Path, data: bytes) -> Records:
-    """Records of a text OFF file: prefixes ST, C, N, 4 are understood, and what they add is skipped."""
+    """Records of a text OFF file: prefixes ST, C, N, 4 are understood, and what they add but colours is skipped."""
     keyword = OFF_KEYWORD.match(data)
     if keyword and keyword["binary"]:
         raise MeshError(path, "binary OFF is not read", "Save it as a text OFF, a PLY or an OBJ file")
@@ -134,11 +141,17 @@ def read_off(path: Path, data: bytes) -> Records:
     if n_vertices and width[:n_vertices].min() < 3:
         raise MeshError(path, "a vertex with fewer than 3 coordinates", CUT_SHORT)
     vertices = values[rows[:n_vertices, None] + np.arange(3)]
+    shades = None
+    if keyword and keyword["prefix"] == b"C" and n_vertices and width[:n_vertices].min() >= 6:
+        shades = as_colours(values[rows[:n_vertices, None] + np.arange(3, 6)])
     rows, width = rows[n_vertices : n_vertices + n_faces], width[n_vertices : n_vertices + n_faces]
     counts = _whole(path, values[rows])
     if (counts < 0).any() or (counts + 1 > width).any():
         raise MeshError(path, "a face names fewer corners than it announces", CUT_SHORT)
-    return Records(vertices, _whole(path, values[_runs(rows + 1, counts)]), counts)
+    found = None
+    if n_faces and (width - 1 - counts).min() >= 3:
+        found = as_colours(values[(rows + 1 + counts)[:, None] + np.arange(3)])
+    return Records(vertices, _whole(path, values[_runs(rows + 1, counts)]), counts, found, shades)
 
 
 def _off_stream(path: Path, values: np.ndarray, n_vertices: int, n_faces: int, width: int) -> Records:
@@ -210,19 +223,24 @@ class _Element:
 
 
 def read_ply(path: Path, data: bytes) -> Records:
-    """Records of a PLY file: text or binary of either byte order, any properties, any further elements."""
+    """Records of a PLY file: text or binary of either byte order, any properties, any further elements.
+
+    Colours are the properties red, green and blue of its faces or vertices.
+    """
     layout, elements, start = _ply_header(path, data)
     if layout == "ascii":
         numbers, start = _numbers(path, data, start)[0], 0
     else:
         numbers = np.frombuffer(data, np.uint8)
     vertices, corners, counts = np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.int64)
+    shades: dict[str, np.ndarray | None] = {}
     read = _ascii_element if layout == "ascii" else _binary_element
     for element in elements:
         wanted = element.find("vertex_indices", "vertex_index") if element.name == "face" else -1
         if element.name == "face" and wanted < 0:
             raise MeshError(path, "its faces have no vertex_indices", EXPORT_AGAIN)
         columns, lists, start = read(path, numbers, start, element, wanted, layout == "binary_big_endian")
+        shades[element.name] = _ply_colours(element, columns)
         if element.name == "vertex":
             axes = [element.find(axis) for axis in "xyz"]
             if min(axes) < 0:
@@ -230,7 +248,15 @@ def read_ply(path: Path, data: bytes) -> Records:
             vertices = np.stack([columns[axis] for axis in axes], axis=1).astype(np.float64)
         elif element.name == "face" and lists is not None:
             corners, counts = lists
-    return Records(vertices, corners, counts)
+    return Records(vertices, corners, counts, shades.get("face"), shades.get("vertex"))
+
+
+def _ply_colours(element: _Element, columns: Mapping[int, np.ndarray]) -> np.ndarray | None:
+    """Colours of the rows of an element; None where it has none."""
+    found = [element.find(name, f"diffuse_{name}") for name in ("red", "green", "blue")]
+    if element.rows == 0 or any(k not in columns for k in found):
+        return None
+    return as_colours(np.stack([columns[k] for k in found], axis=1), element.properties[found[0]].value)
 
 
 def _ply_header(path: Path, data: bytes) -> tuple[str, list[_Element], int]:
@@ -274,23 +300,27 @@ def _too_short(path: Path, element: _Element) -> MeshError:
 
 
 def _ascii_element(path: Path, values: np.ndarray, start: int, element: _Element, wanted: int, _: bool):
-    """(columns, (corners, counts) of the wanted list, start of the next element)."""
+    """({property: column} of single numbers, (corners, counts) of the wanted list, start of the next element)."""
     is_list = np.array([p.count is not None for p in element.properties], bool)
     width = len(is_list)
     if element.rows == 0 or width == 0:
-        return [np.empty(0)] * width, None, start
+        return dict.fromkeys(range(width), np.empty(0)), None, start
     if element.rows > len(values) - start:  # before room is made for them
         raise _too_short(path, element)
     if not is_list.any():
         end = start + element.rows * width
         if end > len(values):
             raise _too_short(path, element)
-        return list(values[start:end].reshape(element.rows, width).T), None, end
+        return dict(enumerate(values[start:end].reshape(element.rows, width).T)), None, end
     begins, counts, end = kernels.walk_lists(values, start, element.rows, is_list, wanted)
     if end < 0:
         raise _too_short(path, element)
     _no_lists_at_vertices(path, element)
-    return [], (_whole(path, values[_runs(begins, counts)]), counts) if wanted >= 0 else None, end
+    columns = {}
+    if wanted >= 0 and is_list.sum() == 1:
+        columns = {k: values[begins - 1 - (wanted - k) if k < wanted else begins + counts + k - wanted - 1]
+                   for k in range(width) if k != wanted}  # fmt: skip
+    return columns, (_whole(path, values[_runs(begins, counts)]), counts) if wanted >= 0 else None, end
 
 
 def _binary_element(path: Path, data: np.ndarray, start: int, element: _Element, wanted: int, big: bool):
@@ -298,7 +328,7 @@ def _binary_element(path: Path, data: np.ndarray, start: int, element: _Element,
     order = ">" if big else "<"
     properties = element.properties
     if element.rows == 0 or not properties:
-        return [np.empty(0)] * len(properties), None, start
+        return dict.fromkeys(range(len(properties)), np.empty(0)), None, start
     if element.rows > len(data) - start:  # before room is made for them
         raise _too_short(path, element)
     if all(p.count is None for p in properties):
@@ -307,7 +337,7 @@ def _binary_element(path: Path, data: np.ndarray, start: int, element: _Element,
         if end > len(data):
             raise _too_short(path, element)
         table = data[start:end].view(row)
-        return [table[str(i)] for i in range(len(properties))], None, end
+        return {i: table[str(i)] for i in range(len(properties))}, None, end
     if any(p.count is not None and p.count[0] == "f" for p in properties):
         raise MeshError(path, "a list whose length is not an integer", EXPORT_AGAIN)
     count_size = np.array([int(p.count[1]) if p.count else 0 for p in properties])
@@ -317,9 +347,16 @@ def _binary_element(path: Path, data: np.ndarray, start: int, element: _Element,
         raise _too_short(path, element)
     _no_lists_at_vertices(path, element)
     if wanted < 0:
-        return [], None, end
+        return {}, None, end
     corners = data[_runs(begins, counts * value_size[wanted])].view(order + properties[wanted].value)
-    return [], (_whole(path, corners), counts), end
+    columns = {}
+    if np.count_nonzero(count_size) == 1:
+        ends = begins + counts * value_size[wanted]
+        for k in (k for k in range(len(properties)) if k != wanted):
+            before = begins - count_size[wanted] - value_size[k:wanted].sum()
+            place = before if k < wanted else ends + value_size[wanted + 1 : k].sum()
+            columns[k] = data[place[:, None] + np.arange(value_size[k])].view(order + properties[k].value)[:, 0]
+    return columns, (_whole(path, corners), counts), end
 
 
 def _no_lists_at_vertices(path: Path, element: _Element) -> None:

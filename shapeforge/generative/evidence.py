@@ -7,7 +7,7 @@ what its own miss then implies, a few times over.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -18,6 +18,7 @@ from shapeforge.generative.inference import (
     Latents,
     decode,
     descend,
+    expected_at,
     expected_values,
     infer,
     logit,
@@ -165,21 +166,46 @@ def _met(
     machine: BetaShapeMachine, latents: Latents, points: np.ndarray, known: Int[np.ndarray, " n"], clamped: Clamped,
     tolerance: float, rng: np.random.Generator,
 ) -> Latents:  # fmt: skip
-    """The ensemble moved until its known points are where they should be (Kalman's gain, ``ROUNDS`` times)."""
-    target = to_values(points[known], machine.low, machine.high).reshape(-1)
+    """The ensemble moved until its known points are where they should be."""
     sd = tolerance / machine.diagonals_per_unit
-    first, exists = logit(latents.first).astype(float), latents.exists
-    fixed = [unit for layer, unit in clamped if layer == 0]
-    for _ in range(ROUNDS):
-        seen = expected_values(machine, sigmoid(first).astype(machine.dtype))[:, known].reshape(len(first), -1)
-        seen = seen.astype(float)
-        wanted = target + np.sqrt(ROUNDS) * sd * rng.standard_normal(seen.shape)
-        vary, move = seen - seen.mean(axis=0), first - first.mean(axis=0)
-        move[:, fixed] = 0
-        noise = (len(first) - 1) * ROUNDS * sd**2
-        gain = np.linalg.solve(vary @ vary.T + noise * np.eye(len(first)), move)
-        first = first + (wanted - seen) @ vary.T @ gain
+    target = to_values(points[known], machine.low, machine.high).reshape(-1) / sd
+
+    def see(first: np.ndarray) -> np.ndarray:
+        return expected_at(machine, sigmoid(first).astype(machine.dtype), known).reshape(len(first), -1) / sd
+
+    fixed = np.array([unit for layer, unit in clamped if layer == 0], np.int64)
+    first = smoothed(logit(latents.first).astype(float), see, target, rng=rng, fixed=fixed)
     found = sigmoid(first).astype(machine.dtype)
     values = expected_values(machine, found)
-    above = infer(machine, values, exists).layers[1:] if machine.n_layers > 1 else ()
-    return Latents((found, *above), exists)
+    above = infer(machine, values, latents.exists).layers[1:] if machine.n_layers > 1 else ()
+    return Latents((found, *above), latents.exists)
+
+
+def smoothed(
+    states: Float[np.ndarray, "n A"],
+    see: Callable[[np.ndarray], np.ndarray],
+    target: Float[np.ndarray, " s"],
+    *,
+    rng: np.random.Generator,
+    fixed: Int[np.ndarray, " f"] | None = None,
+    exact: int = 0,
+) -> Float[np.ndarray, "n A"]:
+    """The rows of an ensemble moved until ``see(states)`` (n, s) is at ``target``: Kalman's gain, ``ROUNDS`` times.
+
+    Both are in units of the standard deviation that what is known has.  The first ``exact`` rows are told it as it is,
+    the others with that much noise, so that they keep varying; columns ``fixed`` do not move.
+    """
+    for _ in range(ROUNDS):
+        seen = see(states).astype(float)
+        wanted = target + np.sqrt(ROUNDS) * rng.standard_normal(seen.shape)
+        wanted[:exact] = target
+        vary, move = seen - seen.mean(axis=0), states - states.mean(axis=0)
+        if fixed is not None:
+            move[:, fixed] = 0
+        noise = (len(states) - 1) * ROUNDS
+        if seen.shape[1] < len(states):  # the same gain, whichever of the two systems is the smaller
+            gain = np.linalg.solve(vary.T @ vary + noise * np.eye(seen.shape[1]), vary.T @ move)
+        else:
+            gain = vary.T @ np.linalg.solve(vary @ vary.T + noise * np.eye(len(states)), move)
+        states = states + (wanted - seen) @ gain
+    return states

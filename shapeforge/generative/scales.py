@@ -65,6 +65,20 @@ class Scales:
         """Where one shape stands on every slider (D,), in the directions' own units."""
         return self._along(shape[:1], shape.exists[0])[0] - self._medians
 
+    def rows(self, sizes: tuple[int, ...]) -> Float[np.ndarray, "D A"]:
+        """What to multiply the logits of all layers with, side by side (A,), for the values (D,), up to constants.
+
+        ``sizes`` are those of the layers.
+        """
+        starts = np.cumsum([0, *sizes])
+        found = np.zeros((len(self._directions), int(starts[-1])))
+        for i, (layer, direction) in enumerate(zip(self._layers, self._directions, strict=True)):
+            if direction.unit is None:
+                found[i, starts[layer] : starts[layer + 1]] = direction.vector
+            else:
+                found[i, starts[layer] + direction.unit] = 1.0
+        return found
+
     def level(self, index: int, value: float, exists: Bool[np.ndarray, " L"]) -> tuple[tuple[int, int], float] | None:
         """((layer, unit), activation in 0..1) at which a unit holds its slider at ``value``; None for a direction."""
         layer, unit = self._layers[index], self._directions[index].unit

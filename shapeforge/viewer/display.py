@@ -62,10 +62,10 @@ class LineLayer:
 class Mark:
     """Something small drawn above the shape in window pixels, at a place on the shape.
 
-    ``kind``: "dot" (filled, white rim), "ring" (hollow), "halo" (hollow, accent), "brush" (ring of ``radius`` diagonals
-    in the plane with normal ``to``), "twin" (dashed such ring), "line" (dashed, from ``at`` to ``to``), "arrow" (from
-    ``at`` to ``to``), "note" (a word with a pin), "circle" (such a ring that can be taken hold of: its far half is
-    faint, and thick where ``text`` is "held").
+    ``kind``: "dot" (filled, white rim), "ring" (hollow), "halo" (hollow, accent), "brush" (ring of ``radius``
+    diagonals in the plane with normal ``to``), "twin" (dashed such ring), "line" (dashed, from ``at`` to ``to``),
+    "arrow" (from ``at`` to ``to``), "note" (a word with a pin), "pin" (its tip at ``at``), "circle" (such a ring that
+    can be taken hold of: its far half is faint). The last two are larger and thicker where ``text`` is "held".
     """
 
     kind: str

@@ -208,7 +208,8 @@ class FitView(_Watching):
 class SliderView(_Watching):
     """New shapes by hand: a slider for each direction the machine found, a box for each part, Mean and Random.
 
-    Points follow at once; the mesh is made when asked for.  Slider values are standard deviations over the family.
+    Points follow at once; the mesh is made when asked for.  Sliders show where the shape in hand stands, in standard
+    deviations over the family.
     """
 
     def __init__(self, project_or_session: Any, size: int = 420, sliders: int = SLIDERS) -> None:
@@ -228,7 +229,7 @@ class SliderView(_Watching):
         }
         self.buttons = {
             "Mean": lambda: self.start(Recipe("mean", sculptor.mean_base(), origin="mean")),
-            "Random": lambda: self.start(Recipe("random", sculptor.random_base(), origin="random")),
+            "Random": lambda: self.start(sculptor.drawn()),
             "Make the mesh": self.make_mesh,
         }
         row = []
@@ -257,7 +258,7 @@ class SliderView(_Watching):
 
     def _slid(self, index: int, value: float) -> None:
         if not self._quiet:
-            self.session.sliders = {**self.session.sliders, index: float(value)}
+            self.sculptor.slide(index, float(value))
 
     def _switched(self, index: int, on: bool) -> None:
         if not self._quiet:
@@ -266,10 +267,10 @@ class SliderView(_Watching):
     def refresh(self) -> None:
         if self.sculptor.reload():  # learned anew: what was made belongs to the old family
             self._sources = None
-        session, exists = self.session, self.sculptor.exists()
-        self._quiet = True  # the session leads, the widgets follow
+        exists = self.sculptor.exists()
+        self._quiet, values = True, self.sculptor.values()  # the session leads, the widgets follow
         for index, slider in enumerate(self.sliders):
-            slider.value = session.sliders.get(index, 0.0)
+            slider.value = min(max(float(values[index]), slider.min), slider.max)
         for index, box in self.boxes.items():
             box.value = bool(exists[index])
         self._quiet = False

@@ -6,7 +6,7 @@ No Qt here.  Points come at once (milliseconds), meshes from a worker that alway
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,8 @@ from jaxtyping import Bool, Float, UInt8
 
 from shapeforge.generative.draw import draw
 from shapeforge.generative.evidence import between, draw_given
-from shapeforge.generative.inference import Latents, infer, logit, sigmoid
+from shapeforge.generative.inference import Latents, decode, infer, logit, sigmoid
+from shapeforge.generative.landmarks import follow
 from shapeforge.generative.scales import Scales
 from shapeforge.generative.units import Direction, bundles, drive, drive_latents, single_units
 from shapeforge.synthesis.assemble import SynthesizedShape
@@ -23,37 +24,26 @@ from shapeforge.synthesis.sources import touching_shares
 from shapeforge.viewer.display import MeshLayer, PointLayer
 from shapeforge.viewer.palette import label_colours
 from shapeforge.viewer.readiness import group_of
-from shapeforge.viewer.resemblance import nearest_shape, resemblance
+from shapeforge.viewer.recipe import Place
+from shapeforge.viewer.recipe import Recipe as Recipe
+from shapeforge.viewer.resemblance import blend, least_like, nearest_shape
 from shapeforge.viewer.session import Session
 from shapeforge.viewer.slider_names import changes, choose_names, what_moves
 
 PERCENTILES = 3.29
 """Standard deviations between the 5th and the 95th percentile of a normal distribution."""
+FARTHEST = 9.0
+"""Standard deviations by which a slider may be set away from where the shape stands."""
+FOLLOWING = 11
 FINER, UNITS = 8, 8
 """How many bundles and single units there are sliders for, below the project's directions."""
-
-
-@dataclass(frozen=True, eq=False)
-class Recipe:
-    """How a shape was made: the base, slider values (standard deviations) and which parts, and from which shapes
-    the user wants some of them (``taken``); how its mesh is made: the ``route`` (a key of ``ROUTES``), and whether its
-    parts are united into one solid (``union``).  Enough to make it again."""
-
-    label: str
-    base: Latents
-    sliders: Mapping[int, float] = field(default_factory=dict)
-    parts_on: Mapping[int, bool] = field(default_factory=dict)
-    origin: str = ""
-    taken: Mapping[int, str] = field(default_factory=dict)
-    route: str = "parts"
-    union: bool = False
 
 
 class Sculptor:
     """The learnt family of the session's project and the shape in hand.
 
-    ``session.sliders`` and ``session.parts_on`` are the truth about sliders and parts; ``recipes`` is the history, of
-    which the first ``done`` + 1 were made and the rest undone.
+    ``session.sliders``, ``parts_on``, ``pins`` and ``locked`` are the truth about sliders, parts and points
+    that are held; ``recipes`` is the history, of which the first ``done`` + 1 were made and the rest undone.
     """
 
     def __init__(self, session: Session) -> None:
@@ -84,6 +74,9 @@ class Sculptor:
         self.latents = infer(self.machine, self.observations.values, self.observations.exists)
         self.scales = Scales(self.machine, self.latents, self.directions)
         self._home: tuple[Any, np.ndarray] = (None, np.zeros(0))
+        self._followed: tuple[Any, Any, Any] = (None, None, None)
+        units = np.array([self.unit(index) for index in range(len(self.directions))])
+        self.rows = self.scales.rows(self.machine.sizes) / units[:, None]
         self.part, self.part_names = self.observations.part, tuple(self.observations.part_names)
         self.shape_names = tuple(project.fit_names)
         self.positions = self.observations.positions()
@@ -105,24 +98,25 @@ class Sculptor:
         hidden = [sigmoid(logit(layer[members]).mean(axis=0, keepdims=True)) for layer in self.latents.layers]
         return Latents(tuple(hidden), patterns[counts.argmax()][None])
 
-    def random_base(self, locked: frozenset[int] = frozenset()) -> Latents:
+    def random_base(self) -> Latents:
         """A draw from the learnt distribution; the n-th draw of a project is always the same for the same wishes.
 
-        The parts that ``session.parts_on`` asks for are there or not, as they are asked for; units whose sliders are
-        ``locked`` stay where they are; ``session.temperature`` says how unusual, ``session.near`` whether to stay near
-        the shape in hand.
+        The parts that ``session.parts_on`` asks for are there or not, as they are asked for; points stay where they are
+        pinned, and units whose sliders are locked where they are; ``session.temperature`` says how unusual,
+        ``session.near`` whether to stay near the shape in hand.
         """
         session, self.draws = self.session, self.draws + 1
         rng = np.random.default_rng([7, self.draws])
         needed = np.array(sorted(part for part, on in session.parts_on.items() if on), np.int64)
         unwanted = np.array(sorted(part for part, on in session.parts_on.items() if not on), np.int64)
         values, present = self.values(), self.exists()
-        levels = (self.scales.level(i, float(values[i]) * self.unit(i), present) for i in sorted(locked))
-        clamped = dict(level for level in levels if level is not None)
-        if len(needed) or len(unwanted) or clamped or session.near:
+        levels = (self.scales.level(i, float(values[i]) * self.unit(i), present) for i in sorted(session.locked))
+        clamped, pins = dict(level for level in levels if level is not None), self.pinned()
+        if len(needed) or len(unwanted) or clamped or pins or session.near:
             found = draw_given(
                 self.machine, self.mixture, 1, rng=rng, clamped=clamped, needed=needed, unwanted=unwanted,
-                start=self.latents_in_hand() if session.near else None, temperature=session.temperature,
+                points=self.reached() if pins else None, start=self.latents_in_hand() if session.near else None,
+                temperature=session.temperature,
             ).latents  # fmt: skip
         else:
             found = draw(self.machine, self.mixture, 1, rng=rng, temperature=session.temperature).latents
@@ -131,10 +125,13 @@ class Sculptor:
         exists[needed], exists[unwanted] = True, False
         return replace(found, exists=exists[None])
 
-    def latents_in_hand(self) -> Latents:
-        """The latents of the shape in hand, sliders and switched parts included."""
-        settings = {i: value * self.unit(i) for i, value in self.session.sliders.items() if value}
-        return drive_latents(self.machine, self.recipe.base, settings, self.exists(), directions=self.directions)[1]
+    def drawn(self) -> Recipe:
+        """The recipe of a draw: pins, locked sliders and switched parts are kept to."""
+        base, session = self.random_base(), self.session
+        return Recipe(
+            "random", base, parts_on=dict(session.parts_on), origin=f"draw {self.draws}", pins=dict(session.pins),
+            locked=session.locked,
+        )  # fmt: skip
 
     def base_of(self, name: str) -> Latents:
         """The latents of a shape of the family."""
@@ -159,9 +156,21 @@ class Sculptor:
         self._take_over(recipe)
 
     def keep(self, label: str) -> None:
-        """Keep the shape in hand (sliders and parts as they are now) as a new item of the history."""
-        sliders, parts_on = dict(self.session.sliders), dict(self.session.parts_on)
-        self.start(replace(self.recipe, label=label, sliders=sliders, parts_on=parts_on))
+        """Keep the shape in hand (sliders, parts and pins as they are now) as a new item of the history."""
+        self.start(replace(self.recipe, label=label, **self._now()))
+
+    @property
+    def as_kept(self) -> bool:
+        """The shape in hand is as the history has it."""
+        now, recipe = self._now(), self.recipe
+        return all(now[name] == getattr(recipe, name) for name in ("sliders", "parts_on", "pins"))
+
+    def _now(self) -> dict[str, Any]:
+        session = self.session
+        return {
+            "sliders": dict(session.sliders), "parts_on": dict(session.parts_on), "pins": dict(session.pins),
+            "locked": session.locked,
+        }  # fmt: skip
 
     def take_part(self, part: int, name: str) -> None:
         """Ask for a part from the shape ``name`` ("": from the one that suits best again), as a new item."""
@@ -184,7 +193,10 @@ class Sculptor:
             self._take_over(self.recipe)
 
     def _take_over(self, recipe: Recipe) -> None:
+        if recipe.pins:  # with other sliders locked it would be another shape
+            self.session.locked = recipe.locked
         self.session.parts_on = dict(recipe.parts_on)
+        self.session.pins = dict(recipe.pins)
         self.session.sliders = dict(recipe.sliders)
 
     @property
@@ -218,17 +230,36 @@ class Sculptor:
             self._home = (base, self.scales.values(base) / units)
         return self._home[1]
 
+    def slide(self, index: int, value: float) -> None:
+        """Move a slider to ``value``.  Where points are pinned they may hold it back."""
+        sliders = self.session.sliders
+        setting = sliders.get(index, 0.0) + value - float(self.values()[index])
+        at_home = abs(value - float(self.home()[index])) < 1e-9
+        setting = 0.0 if at_home or abs(setting) < 1e-9 else float(np.clip(setting, -FARTHEST, FARTHEST))
+        self.session.sliders = {**sliders, index: setting}
+
     def values(self) -> Float[np.ndarray, " D"]:
-        """Where the shape in hand stands on every slider (D,): what its base has, and the sliders' settings."""
+        """Where the shape in hand stands on every slider (D,): what its base has, and the sliders' settings; where
+        points are pinned, what comes of that."""
+        if self.pinned():
+            return self.home(self.latents_in_hand())
         found = self.home().copy()
         for index, setting in self.session.sliders.items():
             found[index] += setting
         return found
 
-    def kept(self, locked: frozenset[int], base: Latents) -> dict[int, float]:
-        """Settings of the ``locked`` sliders with which a shape from another ``base`` stands where this one does."""
+    def kept(self, base: Latents) -> dict[int, float]:
+        """Settings of the locked sliders with which a shape from another ``base`` stands where this one does."""
         values, there = self.values(), self.home(base)
-        return {i: float(values[i] - there[i]) for i in sorted(locked)}
+        return {i: float(values[i] - there[i]) for i in sorted(self.session.locked)}
+
+    def lock(self, index: int, on: bool) -> None:
+        """Keep a slider's value, as it is now, or let it go."""
+        session = self.session
+        if on and self.pinned():  # what follows the pins begins with what is locked, and may not move it
+            setting = float(self.values()[index] - self.home()[index])
+            session.sliders = {**session.sliders, index: setting}
+        session.locked = session.locked | {index} if on else session.locked - {index}
 
     def exists(self, recipe: Recipe | None = None) -> Bool[np.ndarray, " L"]:
         """Which parts the shape in hand (or of a recipe) has (L,)."""
@@ -241,11 +272,45 @@ class Sculptor:
 
     def points(self, recipe: Recipe | None = None) -> Float[np.ndarray, "K 3"]:
         """Points (K, 3) of the shape in hand (or of a recipe), normal coordinates, NaN where a part is absent."""
-        sliders = self.session.sliders if recipe is None else recipe.sliders
+        latents = self.latents_in_hand(recipe)
+        return np.asarray(self.machine.to_positions(decode(self.machine, latents), latents.exists)[0], np.float64)
+
+    def latents_in_hand(self, recipe: Recipe | None = None) -> Latents:
+        """The latents of the shape in hand (or of a recipe): sliders, switched parts and pins included."""
+        source = self.session if recipe is None else recipe
         base = self.recipe.base if recipe is None else recipe.base
-        settings = {index: value * self.unit(index) for index, value in sliders.items() if value}
-        found = drive(self.machine, base, settings, self.exists(recipe), directions=self.directions)
-        return np.asarray(found, np.float64)
+        settings = {index: value * self.unit(index) for index, value in source.sliders.items() if value}
+        exists, pins = self.exists(recipe), self.pinned(recipe)
+        _, found = drive_latents(self.machine, base, settings, exists, directions=self.directions)
+        if not pins:
+            return found
+        key = exists.tobytes(), *(tuple(sorted(one.items())) for one in (settings, pins)), source.locked
+        if self._followed[0] is not base or self._followed[1] != key:
+            rows = self.rows[sorted(source.locked)] if source.locked else None
+            # The same numbers each time: what follows a hand must not tremble.
+            rng = np.random.default_rng(FOLLOWING)
+            followed = follow(self.machine, self.mixture, found, self.known(pins), rng=rng, kept=rows)
+            self._followed = (base, key, followed)
+        return self._followed[2]
+
+    def pinned(self, recipe: Recipe | None = None) -> dict[int, Place]:
+        """The pins of the shape in hand (or of a recipe) on parts that it has."""
+        pins, exists = (self.session if recipe is None else recipe).pins, self.exists(recipe)
+        return {point: place for point, place in pins.items() if exists[self.part[point]]}
+
+    def reached(self) -> Float[np.ndarray, "K 3"]:
+        """Where the shape in hand has its pinned points (K, 3), NaN for those that are free: as near as it gets."""
+        points, found = self.points(), np.full((len(self.part), 3), np.nan)
+        pinned = list(self.pinned())
+        found[pinned] = points[pinned]
+        return found
+
+    def known(self, pins: Mapping[int, Place]) -> Float[np.ndarray, "K 3"]:
+        """Where pins hold the points of a shape (K, 3), NaN for those that are free."""
+        found = np.full((len(self.part), 3), np.nan)
+        for point, place in pins.items():
+            found[point] = place
+        return found
 
     def always(self) -> Bool[np.ndarray, " L"]:
         """Parts that every shape of the family has (L,): they cannot be switched off."""
@@ -265,22 +330,15 @@ class Sculptor:
 
         On the way between shapes that have different parts, a part has to come or go at some point.
         """
+        groups = np.array([group_of(self.session, one) for one in self.shape_names])
         index = self.shape_names.index(name)
-        others = np.arange(len(self.shape_names)) != index
-        alike = others & (self.observations.exists == self.observations.exists[index]).all(axis=1)
-        groups = [group_of(self.session, one) for one in self.shape_names]
-        alike &= np.array(groups) == groups[index]
-        among = np.flatnonzero(alike if alike.any() else others)
-        if not len(among):
-            return name
-        away = np.nanmean(np.linalg.norm(self.positions[among] - self.positions[index], axis=2), axis=1)
-        return self.shape_names[int(among[np.nanargmax(away)])]
+        return self.shape_names[least_like(self.positions, self.observations.exists, groups, index)]
 
     def place_on_map(
         self, embedding: Float[np.ndarray, "T 2"], points: Float[np.ndarray, "K 3"]
     ) -> tuple[float, float]:
-        """Where the shape in hand lies on a map of the family: among the shapes it resembles most."""
-        x, y = resemblance(self.positions, points) @ embedding
+        """Where the shape in hand lies on a map of the family: among the shapes that it is a mean of."""
+        x, y = np.clip(blend(self.positions, points) @ embedding, embedding.min(axis=0), embedding.max(axis=0))
         return float(x), float(y)
 
     # ---- words ---------------------------------------------------------------------------------------------------

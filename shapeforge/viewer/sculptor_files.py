@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from shapeforge.generative.inference import Latents
-from shapeforge.generative.units import drive_latents
 from shapeforge.stages import StageError
 from shapeforge.stages_recipes import read_recipe, recipe_of, write_recipe
 from shapeforge.synthesis.assemble import SynthesizedShape
+from shapeforge.viewer.pulling import as_place, off_by
 from shapeforge.viewer.sculptor import Recipe, Sculptor
 
 
@@ -27,17 +29,32 @@ def export_mesh(path: Path, sculptor: Sculptor, shape: SynthesizedShape, recipe:
         path, shape.vertices, np.asarray(shape.triangles)[order], np.asarray(shape.part)[order], shape.part_names,
         sculptor.session.project.part_inks(shape.part_names), None if own is None else own[order],
     )  # fmt: skip
-    settings = {i: value * sculptor.unit(i) for i, value in recipe.sliders.items() if value}
-    _, latents = drive_latents(
-        sculptor.machine, recipe.base, settings, sculptor.exists(recipe), directions=sculptor.directions
-    )
+    latents = sculptor.latents_in_hand(recipe)
     words = {"label": recipe.label, "origin": recipe.origin, "route": recipe.route, "union": recipe.union}
     words |= {
         "colours": sculptor.session.mesh_colours,
         "sliders": {sculptor.names[i]: value for i, value in recipe.sliders.items()},
         "taken": {sculptor.part_names[part]: name for part, name in recipe.taken.items()},
     }
+    if sculptor.pinned(recipe):
+        words |= _pins_of(sculptor, recipe)
     return write_recipe(path, recipe_of(sculptor.session.project, latents, shape, **words))
+
+
+def _pins_of(sculptor: Sculptor, recipe: Recipe) -> dict[str, Any]:
+    """What is written of pins: where points are held and how far off they are, and the shape that follows them."""
+    points, free = sculptor.points(recipe), sculptor.latents_in_hand(replace(recipe, pins={}))
+    pins = [
+        {
+            "part": sculptor.part_names[sculptor.part[point]], "point": point, "at": list(place),
+            "off_by": round(off_by(points, point, place), 6),
+        }
+        for point, place in sculptor.pinned(recipe).items()
+    ]  # fmt: skip
+    return {
+        "pins": pins, "unpinned": [[float(x) for x in layer[0]] for layer in free.layers],
+        "locked": [sculptor.names[index] for index in sorted(recipe.locked)],
+    }  # fmt: skip
 
 
 def recipe_from(path: Path, sculptor: Sculptor) -> Recipe:
@@ -52,7 +69,8 @@ def recipe_from(path: Path, sculptor: Sculptor) -> Recipe:
             f"{project.machine_id} of {project.fit_id}. Open the project that it was made with."
         )
     exists = np.array([name in found["parts"] for name in sculptor.part_names])
-    layers = tuple(np.array([layer], sculptor.machine.dtype) for layer in found["hidden"])
+    pins = {int(pin["point"]): as_place(np.array(pin["at"], float)) for pin in found.get("pins", [])}
+    layers = tuple(np.array([layer], sculptor.machine.dtype) for layer in found["unpinned" if pins else "hidden"])
     route = found.get("route", "parts")
     # Each part from where the recipe has it: otherwise a wish for one part would move the others.
     taken = {} if route == "surface" else {
@@ -62,5 +80,6 @@ def recipe_from(path: Path, sculptor: Sculptor) -> Recipe:
     label = found.get("label") or path.name.partition(".")[0]
     return Recipe(
         label, Latents(layers, exists[None]), origin=path.name, taken=taken, route=route,
-        union=bool(found.get("union", False)),
+        union=bool(found.get("union", False)), pins=pins,
+        locked=frozenset(i for i, name in enumerate(sculptor.names) if name in found.get("locked", [])),
     )  # fmt: skip

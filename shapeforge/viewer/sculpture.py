@@ -31,7 +31,7 @@ def heated(sculptor: Sculptor, layer: Layer, points: Float[np.ndarray, "K 3"], i
 
 def display(
     layers: tuple[Layer, ...], made: Made | None, label: str, busy: bool, marks: tuple[Mark, ...] = (),
-    moves: bool = False, *, failed: bool = False,
+    moves: bool = False, *, failed: bool = False, n_pins: int = 0,
 ) -> Display:  # fmt: skip
     """The shape with what is known about it in the corners; it ``moves`` while something is dragged."""
     lines = (("points only: the mesh could not be made", "error"),) if failed else _size_words(made)
@@ -43,7 +43,9 @@ def display(
     if busy:
         captions.append(Caption("bottom left", (("making the mesh…", "faint"),)))
     else:
-        captions.append(Caption("bottom left", (("Drag a handle on the shape, the rest follows", "faint"),)))
+        pins = f"{n_pins} point{'s' * (n_pins != 1)} pinned; Ctrl+click or Delete takes a pin away"
+        words = pins if n_pins else "Drag a handle on the shape, the rest follows"
+        captions.append(Caption("bottom left", ((words, "faint"),)))
     return Display((View(layers, marks, tuple(captions), moves=moves),))
 
 

@@ -83,7 +83,8 @@ class Session:
     diagonals, ``fill_to`` where the fill tool stops ("creases" or "patch"), ``watched`` the shapes seen during a fit,
     ``quality`` how well the next fit is done (a key of ``readiness.QUALITIES``; "": as the one before), ``round`` the
     recorded round looked at (None: the newest), ``compare`` the shapes compared, ``picked`` a template point (index),
-    ``sliders`` direction index -> value (standard deviations), ``parts_on`` part index -> existence asked of a draw,
+    ``sliders`` direction index -> value (standard deviations), ``locked`` the sliders whose value is to stay,
+    ``parts_on`` part index -> existence asked of a draw, ``pins`` template point -> where it is held (diagonals),
     ``mesh_colours`` whose colours new meshes have ("parts", or "sources": of the materials of the shapes),
     ``temperature`` how unusual draws are (1: as the family), ``near`` whether they stay near the shape in hand,
     ``arrangement`` how the collection is seen ("map", "grid" or "large"), ``turn`` the rotation (rows) by which the
@@ -119,7 +120,9 @@ class Session:
     picked: int | None = None
     quality: str = ""
     sliders: dict[int, float] = field(default_factory=dict)
+    locked: frozenset[int] = frozenset()
     parts_on: dict[int, bool] = field(default_factory=dict)
+    pins: dict[int, tuple[float, float, float]] = field(default_factory=dict)
     mesh_colours: str = "parts"
     temperature: float = 1.0
     near: bool = False
@@ -151,6 +154,7 @@ class Session:
         """Look at another project (None: none): selections of the old one are dropped first."""
         self.shape, self.group, self.selected, self.watched, self.compare = None, 0, (), (), ()
         self.round, self.picked, self.sliders, self.parts_on = None, None, {}, {}
+        self.locked, self.pins = frozenset(), {}
         self.quality, self.near, self.temperature = "", False, 1.0
         self.progress, self.history, self.place = None, Edits(), "collection"
         self.turn = None

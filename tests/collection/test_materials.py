@@ -1,4 +1,4 @@
-"""Colours of materials: read from OBJ files face by face, written triangle by triangle."""
+"""Colours of faces: read from the materials, textures, faces and vertices of files, written triangle by triangle."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
+from PIL import Image
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
 
 from shapeforge.collection.materials import PLAIN
 from shapeforge.collection.meshes import read_mesh, write_mesh
@@ -58,8 +62,6 @@ def test_colours_stay_when_the_mesh_is_moved(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("ending", ["obj", "ply", "glb"])
 def test_colours_of_triangles_are_written(tmp_path: Path, ending: str) -> None:
-    import trimesh
-
     vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1.0]])
     triangles, part = np.array([[0, 1, 2], [0, 2, 3], [0, 1, 4]], np.int32), np.array([0, 0, 1])
     colours = np.array([[255, 0, 0], [0, 255, 0], [255, 0, 0]], np.uint8)
@@ -78,3 +80,140 @@ def test_colours_of_triangles_are_written(tmp_path: Path, ending: str) -> None:
         assert shades == {"seat": [0, 255, 0], "seat 2": [255, 0, 0], "leg": [255, 0, 0]}
     with pytest.raises(ValueError, match="triangle_colours"):
         write_mesh(path, vertices, triangles, part, ("seat", "leg"), np.zeros((2, 3), np.uint8), colours[:2])
+
+
+# ---- other files: made by trimesh, read by us -----------------------------------------------------------------------
+
+RANDOM = np.random.default_rng(0).integers(0, 256, (12, 3)).astype(np.uint8)
+
+
+def box() -> trimesh.Trimesh:
+    return trimesh.creation.box()
+
+
+def read_back(mesh: trimesh.Trimesh, path: Path, **options: object) -> np.ndarray | None:
+    """The colours that are read from a file that trimesh wrote."""
+    path.write_bytes(trimesh.exchange.export.export_mesh(mesh, path, path.suffix[1:], **options) and path.read_bytes())
+    return read_mesh(path).colours
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary"])
+def test_faces_of_ply_keep_their_colours(tmp_path: Path, encoding: str) -> None:
+    mesh = box()
+    mesh.visual.face_colors = np.column_stack([RANDOM, np.full(12, 255)])
+    assert np.array_equal(read_back(mesh, tmp_path / "x.ply", encoding=encoding), RANDOM)
+
+
+@pytest.mark.parametrize("ending", ["ply", "glb", "obj", "off"])
+def test_faces_between_coloured_vertices_have_their_mean(tmp_path: Path, ending: str) -> None:
+    mesh = box()
+    mesh.visual.vertex_colors = np.column_stack([RANDOM[:8], np.full(8, 255)])
+    wanted = RANDOM[mesh.faces].astype(float).mean(axis=1)
+    if ending == "off":
+        rows = [f"{x} {y} {z} {r} {g} {b} 255" for (x, y, z), (r, g, b) in zip(mesh.vertices, RANDOM, strict=False)]
+        rows += [f"3 {a} {b} {c}" for a, b, c in mesh.faces]
+        (tmp_path / "x.off").write_text("\n".join(["COFF", "8 12 0", *rows]))
+        colours = read_mesh(tmp_path / "x.off").colours
+    else:
+        colours = read_back(mesh, tmp_path / f"x.{ending}")
+    assert np.abs(colours - wanted).max() <= 1
+
+
+def test_faces_of_off_may_have_colours_of_either_kind(tmp_path: Path) -> None:
+    mesh = box()
+    for scale, text in ((1, "{} {} {}"), (255, "{:.4f} {:.4f} {:.4f}")):
+        rows = ["OFF", "8 12 0", *(" ".join(map(str, v)) for v in mesh.vertices)]
+        rows += [f"3 {a} {b} {c} " + text.format(*(RANDOM[i] / scale if scale > 1 else RANDOM[i]))
+                 for i, (a, b, c) in enumerate(mesh.faces)]  # fmt: skip
+        (tmp_path / "x.off").write_text("\n".join(rows))
+        assert np.array_equal(read_mesh(tmp_path / "x.off").colours, RANDOM)
+    (tmp_path / "x.off").write_text("\n".join(row.rpartition(" ")[0] if i > 9 else row for i, row in enumerate(rows)))
+    assert read_mesh(tmp_path / "x.off").colours is None, "two numbers are no colour"
+
+
+def halves() -> Image.Image:
+    """A picture, red at the left and blue at the right."""
+    picture = np.zeros((8, 8, 3), np.uint8)
+    picture[:, :4, 0], picture[:, 4:, 2] = 255, 255
+    return Image.fromarray(picture)
+
+
+def test_each_node_of_a_glb_has_its_material_or_texture(tmp_path: Path) -> None:
+    plain, printed, dark, bare = nodes = box(), box(), box(), box()
+    for place, one in enumerate(nodes):
+        one.apply_translation([2.0 * place, 0, 0])
+    plain.visual = TextureVisuals(material=PBRMaterial(baseColorFactor=[10, 20, 30, 255]))
+    uv = np.where(np.arange(8)[:, None] < 4, 0.2, 0.8) * np.ones((8, 2))
+    printed.visual = TextureVisuals(uv=uv, material=PBRMaterial(baseColorTexture=halves()))
+    dark.visual = TextureVisuals(
+        uv=uv, material=PBRMaterial(baseColorTexture=halves(), baseColorFactor=[128, 128, 128, 255])
+    )
+    scene = trimesh.Scene({"a": plain, "b": printed, "c": dark, "d": bare})
+    (tmp_path / "x.glb").write_bytes(trimesh.exchange.gltf.export_glb(scene))
+    mesh = read_mesh(tmp_path / "x.glb")
+    order = np.argsort(mesh.face_centres.reshape(4, 12, 3)[:, :, 0].mean(axis=1))  # as the nodes stand side by side
+    blocks = mesh.colours.reshape(4, 12, 3)[order]
+    assert (blocks[0] == (10, 20, 30)).all() and (blocks[3] == PLAIN).all()
+    left = np.array([(printed.faces[i] < 4).all() for i in range(12)])
+    right = np.array([(printed.faces[i] >= 4).all() for i in range(12)])
+    assert left.any() and right.any()
+    assert (blocks[1][left] == (255, 0, 0)).all() and (blocks[1][right] == (0, 0, 255)).all()
+    assert (blocks[2][left] == (128, 0, 0)).all() and (blocks[2][right] == (0, 0, 128)).all()
+
+
+def test_a_glb_whose_texture_is_damaged_is_read_without(tmp_path: Path) -> None:
+    mesh = box()
+    mesh.visual = TextureVisuals(uv=np.zeros((8, 2)), material=PBRMaterial(baseColorTexture=halves()))
+    data = trimesh.exchange.gltf.export_glb(trimesh.Scene(mesh))
+    (tmp_path / "x.glb").write_bytes(data.replace(b"PNG", b"XXX").replace(b"IHDR", b"XXXX"))
+    assert read_mesh(tmp_path / "x.glb").n_faces == 12
+
+
+def test_an_obj_material_with_a_texture_has_its_mean_colour(tmp_path: Path) -> None:
+    halves().save(tmp_path / "print 1.png")
+    library = "newmtl oak\nKd 0.5 0.5 0.5\nmap_Kd -clamp on {}\nnewmtl blue paint\nKd 0 0 1\n"
+    for name, wanted in (("textures\\print.png", [64, 0, 64]), ("gone.png", [128, 128, 128])):
+        halves().save(tmp_path / "print.png")
+        assert colours_of(tmp_path, library=library.format(name))[1].tolist() == wanted
+    (tmp_path / "print.png").write_bytes(b"no picture")
+    assert colours_of(tmp_path, library=library.format("print.png"))[1].tolist() == [128, 128, 128]
+
+
+@pytest.mark.parametrize("ending", ["glb", "ply", "obj"])
+def test_parts_of_very_many_colours_are_written_in_few_nodes(tmp_path: Path, ending: str) -> None:
+    mesh = trimesh.creation.icosphere(3)
+    shades = np.random.default_rng(1).integers(0, 256, (len(mesh.faces), 3)).astype(np.uint8)
+    part = (mesh.triangles_center[:, 0] > 0).astype(int)
+    shades[part == 1] = (10, 20, 30)
+    path = tmp_path / f"x.{ending}"
+    write_mesh(path, mesh.vertices, mesh.faces.astype(np.int32), part, ("a", "b"), np.zeros((2, 3), np.uint8), shades)
+    read = read_mesh(path)
+    order = np.lexsort(np.round(read.face_centres, 5).T)
+    wanted = shades[np.lexsort(np.round(mesh.triangles_center, 5).T)].astype(int)
+    away = np.abs(read.colours[order] - wanted).max(axis=1)
+    if ending == "obj":
+        assert len(np.unique(read.colours, axis=0)) <= 65 and away.mean() < 40
+    else:
+        assert away.max() == 0
+    if ending == "glb":
+        assert sorted(trimesh.load_scene(path).geometry) == ["a", "b"]
+
+
+def test_colours_of_a_file_reach_the_project_and_its_parts(tmp_path: Path) -> None:
+    """Imported from GLB with a material a node: the stored shape has them, whatever became of the file."""
+    from shapeforge.collection.iterate import last
+    from shapeforge.stages import run
+    from shapeforge.store import Project
+
+    scene = trimesh.Scene()
+    for name, height, shade in (("seat", 0.0, [200, 0, 0, 255]), ("back", 1.0, [0, 0, 200, 255])):
+        one = box()
+        one.apply_translation([0, height, 0])
+        one.visual = TextureVisuals(material=PBRMaterial(baseColorFactor=shade))
+        scene.add_geometry(one, node_name=name)
+    (tmp_path / "x.glb").write_bytes(trimesh.exchange.gltf.export_glb(scene))
+    project = Project.create(tmp_path / "project")
+    last(run(project, "import", meshes=[tmp_path / "x.glb"], points=100, up="keep", jobs=1))
+    mesh = Project.open(tmp_path / "project").shapes.named("x").mesh
+    high, low = mesh.face_centres[:, 1] > 0.01, mesh.face_centres[:, 1] < -0.01
+    assert (mesh.colours[high] == (0, 0, 200)).all() and (mesh.colours[low] == (200, 0, 0)).all()

@@ -6,7 +6,8 @@ import pytest
 from shapeforge.collection.iterate import last
 from shapeforge.generative.draw import draw, fit_mixture
 from shapeforge.generative.evidence import between, draw_given
-from shapeforge.generative.inference import decode, infer
+from shapeforge.generative.inference import decode, expected_at, expected_values, infer, logit
+from shapeforge.generative.landmarks import follow
 from shapeforge.generative.learning import learn_machine
 from shapeforge.generative.machine import layer_sizes
 from shapeforge.generative.observations import observe
@@ -132,3 +133,93 @@ def test_draws_near_a_shape_come_nearer_as_the_temperature_falls(learned):
     assert away[0] > 2 * away[1] > 4 * away[2] and away[2] < 2e-3
     with pytest.raises(ValueError, match="temperature"):
         draw_given(machine, mixture, 1, rng=np.random.default_rng(0), start=start, temperature=0.0)
+
+
+# ---- one shape that follows its landmarks -------------------------------------------------------------------------
+
+
+def started(learned, shape):
+    """A shape of the family, another with the same parts, and a few points of every part of that one."""
+    train, _, machine, mixture = learned
+    alike = np.flatnonzero((train.exists == train.exists[shape]).all(axis=1) & (np.arange(train.n_shapes) != shape))
+    own, other = (infer(machine, train.values[[t]], train.exists[[t]]) for t in (shape, alike[shape % len(alike)]))
+    truth = machine.to_positions(decode(machine, other), other.exists)[0]
+    known = np.full_like(truth, np.nan)
+    for index in np.flatnonzero(train.exists[shape]):
+        members = np.flatnonzero(machine.part == index)
+        known[members[[0, -1]]] = truth[members[[0, -1]]]
+    return own, truth, known
+
+
+def test_a_few_points_are_those_of_all(learned):
+    _, test, machine, _ = learned
+    first = infer(machine, test.values, test.exists).first
+    asked = np.random.default_rng(0).permutation(machine.n_points)[:17]
+    np.testing.assert_allclose(expected_at(machine, first, asked), expected_values(machine, first)[:, asked], atol=1e-6)
+
+
+def test_a_shape_follows_its_landmarks_and_the_rest_goes_along(learned):
+    _, _, machine, mixture = learned
+    missed, followed = [], []
+    for shape in range(0, 24, 3):
+        own, truth, known = started(learned, shape)
+        found = follow(machine, mixture, own, known, rng=np.random.default_rng(1))
+        before, after = (machine.to_positions(decode(machine, one), one.exists)[0] for one in (own, found))
+        given = np.isfinite(known[:, 0])
+        rest = np.isfinite(truth[:, 0]) & ~given
+        away = [np.linalg.norm(points - truth, axis=1) for points in (before, after)]
+        missed.append(away[1][given].mean() / away[0][given].mean())
+        followed.append(away[1][rest].mean() / away[0][rest].mean())
+    assert max(missed) < 0.4 and np.mean(missed) < 0.15, missed
+    assert max(followed) < 0.5 and np.mean(followed) < 0.25, followed
+
+
+def test_all_landmarks_count_and_a_shape_that_meets_them_stays(learned):
+    """The first one is not forgotten when a second one is given, and the order in which they came does not matter."""
+    _, _, machine, mixture = learned
+    own, _, known = started(learned, 0)
+    first, second = np.flatnonzero(np.isfinite(known[:, 0]))[[0, -1]]
+    misses = []
+    for given in ([first], [second], [first, second]):
+        points = np.full_like(known, np.nan)
+        points[given] = known[given]
+        found = follow(machine, mixture, own, points, rng=np.random.default_rng(1))
+        there = machine.to_positions(decode(machine, found), found.exists)[0]
+        misses.append([float(np.linalg.norm(there[k] - known[k])) for k in (first, second)])
+    alone = misses[0][0], misses[1][1]
+    assert max(misses[2]) < 0.02 + max(alone) and sum(misses[2]) < 0.7 * min(sum(misses[0]), sum(misses[1])), misses
+    there = machine.to_positions(decode(machine, own), own.exists)[0]
+    points = np.where(np.isfinite(known), there, np.nan)
+    stays = follow(machine, mixture, own, points, rng=np.random.default_rng(1))
+    moved = np.linalg.norm(machine.to_positions(decode(machine, stays), stays.exists)[0] - there, axis=1)
+    assert np.nanmax(moved) < 0.01
+
+
+def test_what_is_kept_stays_while_landmarks_move(learned):
+    _, _, machine, mixture = learned
+    own, _, known = started(learned, 3)
+    rows = np.zeros((2, sum(machine.sizes)))
+    rows[0, 5], rows[1, -1] = 0.5, 0.5  # a unit of H1 and one of the top
+
+    def kept(latents):
+        return rows @ np.concatenate([logit(layer[0]) for layer in latents.layers])
+
+    free = follow(machine, mixture, own, known, rng=np.random.default_rng(1))
+    held = follow(machine, mixture, own, known, rng=np.random.default_rng(1), kept=rows)
+    assert np.abs(kept(free) - kept(own)).max() > 0.3, "they would move"
+    assert np.abs(kept(held) - kept(own)).max() < 0.1
+    again = follow(machine, mixture, own, known, rng=np.random.default_rng(1), kept=rows)
+    np.testing.assert_array_equal(again.first, held.first)
+
+
+def test_landmarks_of_absent_parts_are_refused(learned):
+    train, _, machine, mixture = learned
+    shape = int(np.flatnonzero(~train.exists.all(axis=1))[0])
+    own = infer(machine, train.values[[shape]], train.exists[[shape]])
+    points = np.full((machine.n_points, 3), np.nan)
+    with pytest.raises(ValueError, match="got none"):
+        follow(machine, mixture, own, points, rng=np.random.default_rng(0))
+    missing = int(np.flatnonzero(~train.exists[shape])[0])
+    points[machine.part == missing] = 0.0
+    with pytest.raises(ValueError, match=machine.part_names[missing]):
+        follow(machine, mixture, own, points, rng=np.random.default_rng(0))

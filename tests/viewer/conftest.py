@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import shutil
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -92,11 +93,9 @@ def painting(open_window: Callable, grouped: Project, qtbot) -> Painting:
 @pytest.fixture
 def open_window(qtbot) -> Iterator[Callable]:
     """``open_window(project)`` shows the real window, 1440 x 900; it is closed, and its thread ended, afterwards."""
-    from PySide6.QtCore import QCoreApplication, QEvent
-
     from shapeforge.viewer.qt.window import Window
 
-    opened = []
+    opened: list = []
 
     def make(project: Project | None = None, place: str = "collection") -> Window:
         window = Window()
@@ -112,12 +111,18 @@ def open_window(qtbot) -> Iterator[Callable]:
         return window
 
     yield make
+    close_windows(opened)
+
+
+def close_windows(opened: list) -> None:
+    """Close windows; what they leave dies now, on this thread, and not in the event loop of the next test."""
+    from PySide6.QtCore import QCoreApplication, QEvent
+
     for window in opened:
         window.close()
         assert not window.runner.running, "a closed window leaves no thread"
         window.deleteLater()
     opened.clear()
-    # what a test's windows leave dies with the test, on this thread, and not in the event loop of the next one
     QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)
     gc.collect()
 
@@ -158,10 +163,60 @@ def sources(_learnt):
     return sources_of(Project.open(_learnt))
 
 
+@pytest.fixture(scope="module")
+def _synthesize(qapp, _learnt, sources, tmp_path_factory) -> Iterator:
+    """The Synthesize place of a real window, opened once for all tests of a module: a window costs seconds."""
+    from shapeforge.viewer.qt.window import Window
+
+    folder = tmp_path_factory.mktemp("synthesize") / "chairs"
+    shutil.copytree(_learnt, folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SHAPEFORGE_CONFIG", str(tmp_path_factory.mktemp("settings")))
+        patch.setattr("shapeforge.stages_synthesis.sources_of", lambda project: sources)
+        window = Window()
+        window.move(0, 0)
+        window.session.open(Project.open(folder))
+        window.session.place = "synthesize"
+        window.show()
+        wait_until(qapp, window.isVisible)
+        window.activateWindow()
+        wait_until(qapp, window.isActiveWindow)
+        made = window.places["synthesize"]
+        wait_until(qapp, lambda: made.view.frames > 0)
+        yield made
+        close_windows([window])
+
+
+def wait_until(application, there: Callable[[], bool], seconds: float = 20.0) -> None:
+    """Let the window work until something is so."""
+    end = time.monotonic() + seconds
+    while not there():
+        assert time.monotonic() < end, f"{there} did not come about"
+        application.processEvents()
+        time.sleep(0.005)
+
+
 @pytest.fixture
-def place(open_window, learnt, sources, qtbot, monkeypatch):
-    monkeypatch.setattr("shapeforge.stages_synthesis.sources_of", lambda project: sources)
-    window = open_window(learnt, "synthesize")
-    made = window.places["synthesize"]
-    qtbot.waitUntil(lambda: made.view.frames > 0, timeout=20000)
+def place(_synthesize, qapp):
+    """The place as it is when it is first entered: the mean of the family, nothing moved, pinned or switched."""
+    made, session = _synthesize, _synthesize.session
+    made.shows.spin.set_on(False)
+    made.shows.heat(None)
+    made.between.end()
+    made.handles.held = made.handles.pointed = None
+    if made.inspector.finer_rows.isVisible():
+        made.inspector._toggle_finer()
+    made.shown_as.set_value("mesh")
+    session.temperature, session.near, session.mesh_colours, session.selected = 1.0, False, "parts", ()
+    session.theme, session.status, session.status_kind = "dark", "", "info"
+    session.locked = frozenset()
+    sculptor = made.sculptor
+    sculptor.draws, sculptor.done, sculptor.recipes = 0, 0, sculptor.recipes[:1]
+    sculptor._take_over(sculptor.recipe)
+    made.wanted()
+    made._show_history()
+    made.view.fit()
+    made.inspector._sections.verticalScrollBar().setValue(0)
+    made.centre.setFocus()
+    session.edit_count += 1
     return made

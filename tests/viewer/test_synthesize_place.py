@@ -17,7 +17,7 @@ from shapeforge.viewer import movies
 from shapeforge.viewer.display import MeshLayer, PointLayer
 from shapeforge.viewer.mesh_worker import MeshWorker, Wish
 from shapeforge.viewer.palette import heat
-from shapeforge.viewer.pulling import handles_of, pull
+from shapeforge.viewer.pulling import as_place, handles_of, off_by
 from shapeforge.viewer.sculptor import Recipe, Sculptor
 from shapeforge.viewer.sculptor_files import export_mesh
 from shapeforge.viewer.sculpture import measure_words
@@ -81,18 +81,40 @@ def test_the_nearest_shape_of_a_shape_is_itself(sculptor):
     assert name == sculptor.shape_names[2] and distance == pytest.approx(0, abs=1e-6)
 
 
-def test_pulling_a_point_moves_it_towards_where_it_is_pulled(sculptor):
+def test_handles_are_far_apart_and_pins_among_them(sculptor):
     points = sculptor.points()
-    handle = int(handles_of(points)[0])
-    wanted = pull(sculptor, handle)
-    moved = []
-    for direction in np.vstack([np.eye(3), -np.eye(3)]):
-        sculptor.session.sliders = wanted(0.01 * direction)
-        moved.append(float((sculptor.points()[handle] - points[handle]) @ direction))
-    assert max(moved) > 0.001 and np.mean(moved) > 0
-    sculptor.session.sliders = {}
-    held = pull(sculptor, handle, frozenset({0}))(np.array([0.05, 0.0, 0.0]))
-    assert 0 not in held, "a locked slider keeps its value"
+    handles = handles_of(points)
+    pinned = {int(handles[4]), int(np.flatnonzero(np.isfinite(points[:, 0]))[0])}
+    with_pins = handles_of(points, pinned=pinned)
+    assert len(handles) == len(with_pins) == 9 and pinned <= {int(k) for k in with_pins}
+    apart = np.linalg.norm(points[with_pins][:, None] - points[with_pins], axis=2) + np.eye(9)
+    assert apart.min() > 0.05
+
+
+def test_pinned_points_stay_while_others_are_moved(sculptor):
+    """Several at once, in any order; a locked slider keeps its value meanwhile, and without pins all is as it was."""
+    session, points = sculptor.session, sculptor.points()
+    first, second = (int(k) for k in handles_of(points)[:2])
+    target = sculptor.points(Recipe("other", sculptor.base_of(sculptor.shape_names[1])))
+    wanted = {k: as_place(0.4 * target[k] + 0.6 * points[k]) for k in (first, second)}
+    session.pins = {first: wanted[first]}
+    alone, values = sculptor.points(), sculptor.values()
+    session.pins = wanted
+    both = sculptor.points()
+    session.pins = dict(reversed(wanted.items()))
+    assert np.array_equal(np.nan_to_num(both), np.nan_to_num(sculptor.points()))
+    missed = {k: (off_by(both, k, wanted[k]), off_by(points, k, wanted[k])) for k in wanted}
+    assert all(after < 0.6 * before for after, before in missed.values()), missed
+    assert off_by(both, first, wanted[first]) < off_by(alone, first, wanted[first]) + 0.01
+    assert np.abs(values - sculptor.home()).max() > 0.05, "sliders show what comes of it"
+    sculptor.lock(0, True)
+    now = sculptor.values()[0]
+    session.pins = {first: as_place(points[first] + np.array([0.05, 0.0, 0.0]))}
+    held = sculptor.values()[0]
+    sculptor.lock(0, False)
+    assert abs(held - now) < 0.1 < abs(sculptor.values()[0] - now) + 0.1
+    session.pins, session.sliders = {}, {}
+    assert np.array_equal(np.nan_to_num(sculptor.points()), np.nan_to_num(points))
 
 
 def test_the_worker_makes_the_newest_wish_only(sculptor, monkeypatch):
@@ -247,21 +269,6 @@ def test_between_two_shapes_is_one_item_per_drag(place, qtbot):
     place.actions.run("undo")
     place._go_to(0)
     assert place.between.ends is None and not place.between.bar.isVisibleTo(place.centre)
-
-
-def test_a_handle_pulled_in_the_view_moves_sliders(place, qtbot):
-    x, y = (round(v) for v in place.view.place_of(place.handles.places[0]))
-    target = place.view.plotter
-    camera = np.array(place.view.scene.camera.GetPosition())
-    qtbot.mousePress(target, LEFT, NONE, QPoint(x, y))
-    assert place.handles.held is not None
-    for i in range(1, 5):
-        qtbot.mouseMove(target, QPoint(x, y - 8 * i))
-    assert any(abs(value) > 1e-3 for value in place.session.sliders.values())
-    assert any(mark.kind == "arrow" for mark in place.view.shown.views[0].marks)
-    qtbot.mouseRelease(target, LEFT, NONE, QPoint(x, y - 32))
-    assert place.handles.held is None and place.sculptor.recipe.label.endswith("pulled")
-    assert np.array_equal(np.array(place.view.scene.camera.GetPosition()), camera), "the view did not turn"
 
 
 def test_part_switches_say_what_is_fixed(place):

@@ -193,7 +193,7 @@ def test_draws_near_the_shape_in_hand_are_nearer_and_less_variety_means_less(pla
 
     def drawn() -> tuple[float, float]:
         """How far draws are from the shape in hand, and how much they differ among themselves, in log odds."""
-        found = np.stack([logit(place.drawn().base.first) for _ in range(8)])
+        found = np.stack([logit(place.sculptor.drawn().base.first) for _ in range(8)])
         return float(np.abs(found - logit(sculptor.latents_in_hand().first)).mean()), float(found.std(axis=0).mean())
 
     usual, _ = drawn()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, Qt
-from PySide6.QtGui import QColor, QFontMetricsF, QPainter, QPen, QPolygonF
+from PySide6.QtGui import QColor, QFontMetricsF, QPainter, QPainterPath, QPen, QPolygonF
 from PySide6.QtWidgets import QWidget
 from vtkmodules.vtkRenderingCore import vtkCamera
 
@@ -151,6 +151,8 @@ class Overlay(QWidget):
             painter.drawEllipse(here, 4.4, 4.4)
         elif mark.kind == "circle":
             self._circle(painter, mark, camera, cell, line)
+        elif mark.kind == "pin":
+            self._pin(painter, here, larger=mark.text == "held")
         elif mark.kind == "note":
             self._note(painter, here, mark.text, line, ground)
 
@@ -206,6 +208,22 @@ class Overlay(QWidget):
             for side in (-0.5, 0.5):
                 back = -7 * (np.cos(side) * along + np.sin(side) * np.array([-along[1], along[0]]))
                 painter.drawLine(end, QPointF(end.x() + back[0], end.y() + back[1]))
+
+    def _pin(self, painter: QPainter, tip: QPointF, larger: bool) -> None:
+        """A drop whose tip is at the point, its head 13 pixels above."""
+        radius, x, y = 7.0 if larger else 6.0, tip.x(), tip.y() - 13
+        drop = QPainterPath(tip)
+        drop.cubicTo(QPointF(x - 1.5, y + 8), QPointF(x - radius, y + 6), QPointF(x - radius, y))
+        drop.arcTo(QRectF(x - radius, y - radius, 2 * radius, 2 * radius), 180, -180)
+        drop.cubicTo(QPointF(x + radius, y + 6), QPointF(x + 1.5, y + 8), tip)
+        painter.setPen(QPen(QColor(0, 0, 0, 90), 3.6))  # a dark edge keeps the white one seen on light parts
+        painter.drawPath(drop)
+        painter.setPen(QPen(QColor("#FFFFFF"), 1.6))
+        painter.setBrush(self._colour("accent"))
+        painter.drawPath(drop)
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(QColor("#FFFFFF"))
+        painter.drawEllipse(QPointF(x, y), 2.0, 2.0)
 
     def _note(self, painter: QPainter, here: QPointF, text: str, line: QColor, ground: QColor) -> None:
         painter.setPen(QPen(line, 1.2))

@@ -34,7 +34,13 @@ def add_actions(place: Any) -> None:
     add("from_shape", "From shape…", place.choose_shape, "", "Start from a shape of the family, or from a recipe",
         "cube")  # fmt: skip
     add("between", "Between A and B", place.between.toggle, "B", "A shape on the way from one to another", "between")
-    add("reset_sliders", "Reset", place.reset, "", "All sliders that are not locked back to the shape by itself", "")
+    add("reset_sliders", "Reset", place.reset, "",
+        "All sliders that are not locked back to the shape by itself; all pins away", "",
+        lambda session: can_reset(place))  # fmt: skip
+    add("unpin", "Take a pin away", place.handles.unpin_newest, "Del", "The pin under the pointer, else the newest",
+        "pin", lambda session: can_unpin(place))  # fmt: skip
+    add("unpin_all", "Take all away", place.handles.unpin_all, "Shift+Del", "The shape as the sliders make it", "",
+        lambda session: can_unpin(place))  # fmt: skip
     add("reset_parts", "Reset", place.reset_parts, "", "The parts that the shape has by itself", "",
         lambda session: can_reset_parts(place))  # fmt: skip
     add("export_mesh", "Export mesh…", lambda: save_mesh(place), "Ctrl+E",
@@ -66,6 +72,21 @@ def can_reset_parts(place: Any) -> Verdict:
     if not place.sculptor.has_machine:
         return ready(place)
     return YES if place.session.parts_on else (False, "No part has been switched.")
+
+
+def can_reset(place: Any) -> Verdict:
+    """A slider that is not locked has been moved, or a point pinned."""
+    if not place.sculptor.has_machine:
+        return ready(place)
+    moved = any(value for index, value in place.session.sliders.items() if index not in place.session.locked)
+    return YES if moved or place.session.pins else (False, "No free slider has been moved, and nothing is pinned.")
+
+
+def can_unpin(place: Any) -> Verdict:
+    """A point is pinned."""
+    if not place.sculptor.has_machine:
+        return ready(place)
+    return YES if place.session.pins else (False, "Nothing is pinned.")
 
 
 def save_mesh(place: Any) -> None:

@@ -132,7 +132,7 @@ class Between:
         )  # fmt: skip
         if sculptor.recipe.origin == recipe.origin and self.is_dragged and self._in_drag:
             sculptor.recipes[sculptor.done] = recipe
-            place.session.sliders = {}
+            place.session.sliders, place.session.pins = {}, {}
         else:
             sculptor.start(recipe)
         self._in_drag = self.is_dragged

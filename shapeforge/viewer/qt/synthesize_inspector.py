@@ -16,6 +16,7 @@ from shapeforge.viewer.qt.controls import Choice, Switch
 from shapeforge.viewer.qt.icons import refresh, set_icon
 from shapeforge.viewer.qt.stale_note import stale_note
 from shapeforge.viewer.qt.synthesize_parts import DirectionRow, FamilyMap
+from shapeforge.viewer.qt.synthesize_pins import PinSection
 from shapeforge.viewer.qt.synthesize_sections import DrawSection, MeshSection
 from shapeforge.viewer.qt.widgets import (
     Swatch,
@@ -40,11 +41,12 @@ KINDS = {
 
 
 class SynthesizeInspector(QFrame):
-    """Shows the Session's sliders and parts and emits what the user asks for.  ``locked`` sliders keep their value."""
+    """Shows the Session's sliders, pins and parts and emits what the user asks for."""
 
     shape_chosen = Signal(str)
     slid = Signal(int, float)
     let_go = Signal(int)
+    locking = Signal(int, bool)
     switched = Signal(int, bool)
     hovered = Signal(object)
     taken = Signal(int, str)
@@ -52,13 +54,13 @@ class SynthesizeInspector(QFrame):
     def __init__(self, session: Session, sculptor: Sculptor, actions: Actions, binding: Binding) -> None:
         super().__init__()
         self.session, self.sculptor = session, sculptor
-        self.locked: frozenset[int] = frozenset()
         self.rows: list[DirectionRow] = []
         self.switches: dict[int, Switch] = {}
         self.swatches: dict[int, Swatch] = {}
         self.map = FamilyMap()
         self.map.chosen.connect(lambda i: self.shape_chosen.emit(self.sculptor.shape_names[i]))
         family = section(row(label("Family", "heading"), None, label("click to go there", "caption")), self.map)
+        self.pins = PinSection(sculptor, actions, binding)
         self.direction_count = label("", "off")
         reset = action_button(actions, "reset_sliders", binding, kind="link", icon=False)
         head = row(label("Directions", "heading"), self.direction_count, None, reset, margins=(16, 12, 16, 4))
@@ -110,7 +112,7 @@ class SynthesizeInspector(QFrame):
             )
         )
         stale = stale_note(actions, binding, "learn", "learn", "Learn again")
-        self._sections = scrolled(stale, family, directions, parts, self.draws, self.mesh)
+        self._sections = scrolled(stale, family, self.pins, directions, parts, self.draws, self.mesh)
         self._empty = QWidget()
         self._foot = foot
         inside = column(self._sections, self._empty, foot, spacing=0)
@@ -121,7 +123,6 @@ class SynthesizeInspector(QFrame):
 
     def fill(self) -> None:
         """Rows for the sliders and parts of the family there is now."""
-        self.locked = frozenset()
         self._show_family()
         self._fill_directions()
         self._fill_parts()
@@ -151,12 +152,14 @@ class SynthesizeInspector(QFrame):
         exists, home, values = self.sculptor.exists(), self.sculptor.home(), self.sculptor.values()
         for index, one in enumerate(self.rows):
             one.set_value(float(values[index]), float(home[index]))
+            one.show_lock(index in self.session.locked)
             if one.isVisible():  # on a shape of another origin it moves something else
                 one.caption.setText(self.sculptor.caption(index))
         for part, switch in self.switches.items():
             switch.setChecked(bool(exists[part]))
         self._show_taken(self._part)
         self.show_wishes()
+        self.pins.show_pins(points)
         if len(self.map.places) == len(self.sculptor.shape_names):
             names = self.sculptor.shape_names
             ends = None if between is None else (names.index(between[0]), names.index(between[1]))
@@ -166,16 +169,16 @@ class SynthesizeInspector(QFrame):
         """Show what random draws keep to."""
         names, asked = self.sculptor.part_names, self.session.parts_on
         parts = tuple(f"{names[part]} {'on' if asked[part] else 'off'}" for part in sorted(asked))
-        self.draws.show_wishes(parts, len(self.locked))
+        self.draws.show_wishes(parts, len(self.session.locked), len(self.sculptor.pinned()))
 
     def show_mesh(self, shape: SynthesizedShape | None) -> None:
         """Show how the mesh is made; ``shape`` is the newest one, if any."""
         recipe = self.sculptor.recipe
         new = recipe.route == "surface"
         no_union = "A new surface is always one closed solid." if new else missing_modeller()
-        no_colours = "A new surface has no materials." if new else ""
-        if shape is not None and not new and shape.colours is None:
-            no_colours = "None of the shapes that the parts come from has materials."
+        no_colours = ""
+        if shape is not None and shape.colours is None:
+            no_colours = "None of the files that the parts come from has colours or materials."
         problem = "" if shape is None else str(shape.measures.get("not_united", "")).removeprefix("union: ")
         self.mesh.show_choice(
             recipe.route, recipe.union, self.session.mesh_colours, no_union=no_union, no_colours=no_colours,
@@ -208,7 +211,7 @@ class SynthesizeInspector(QFrame):
             one.released.connect(lambda index=index: self.let_go.emit(index))
             one.entered.connect(lambda index=index: self.hovered.emit(index))
             one.left.connect(lambda: self.hovered.emit(None))
-            one.locked.connect(lambda on, index=index: self._lock(index, on))
+            one.locked.connect(lambda on, index=index: self.locking.emit(index, on))
             box = self.direction_rows if index < sculptor.coarse else self.finer_rows.layout()
             if index >= sculptor.coarse and direction.kind != sculptor.directions[index - 1].kind:
                 words, explained = KINDS[direction.kind]
@@ -272,10 +275,6 @@ class SynthesizeInspector(QFrame):
         if shown:
             for index in range(self.sculptor.coarse, len(self.rows)):
                 self.rows[index].caption.setText(self.sculptor.caption(index))
-
-    def _lock(self, index: int, on: bool) -> None:
-        self.locked = self.locked | {index} if on else self.locked - {index}
-        self.show_wishes()
 
 
 def missing_modeller() -> str:

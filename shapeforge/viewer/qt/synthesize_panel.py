@@ -62,7 +62,7 @@ class SynthesizePlace:
         for carrier in (self.thumbnails, self._mail):
             carrier.setParent(self.centre)
         self.thumbnails.arrived.connect(self._show_pictures)
-        self.binding.on(("sliders", "parts_on"), self.wanted, now=False)
+        self.binding.on(("sliders", "parts_on", "pins"), self.wanted, now=False)
         self.binding.on(("edit_count",), self._follow_history, now=False)
         self.binding.on(("theme", "mesh_colours"), self._show_colours, now=False)
         self.binding.on(("temperature", "near"), self._show_wishes, now=False)
@@ -72,9 +72,7 @@ class SynthesizePlace:
 
     def _build(self, view_factory: Callable[[], QWidget]) -> None:
         self.view = view_factory()
-        self.handles = Handles(
-            self.session, self.view, self.sculptor, lambda: self.inspector.locked, self._remember
-        )  # fmt: skip
+        self.handles = Handles(self.session, self.view, self.sculptor, self._remember)
         self.between, self.shows = Between(self), Shows(self)
         add_actions(self)
         self.nothing = not_learnt(self.actions, self.binding)
@@ -106,6 +104,10 @@ class SynthesizePlace:
         self.inspector.shape_chosen.connect(self._from_shape)
         self.inspector.slid.connect(self._slid)
         self.inspector.let_go.connect(self._let_go)
+        self.inspector.locking.connect(self._lock)
+        self.inspector.pins.pointed.connect(self.handles.point_at)
+        self.inspector.pins.unpinned.connect(self.handles.unpin)
+        self.inspector.pins.focus_lost.connect(self.centre.setFocus)
         self.inspector.switched.connect(self._switch)
         self.inspector.hovered.connect(self.shows.heat)
         self.inspector.taken.connect(self._take_part)
@@ -175,7 +177,7 @@ class SynthesizePlace:
         self.points = self.sculptor.points()
         if not self.is_dragging:
             self._live = None
-        known = self._made_of.get(self._recipe) if self._as_kept else None
+        known = self._made_of.get(self._recipe) if self.sculptor.as_kept else None
         self.made = None if known is None else replace(known, wish=self._wish)
         self.inspector.show_values(self.points, self.between.ends)
         self._show()
@@ -191,12 +193,6 @@ class SynthesizePlace:
     def is_dragging(self) -> bool:
         """A slider, a handle or the way from A to B is in hand."""
         return self.handles.held is not None or self.inspector.is_dragging or self.between.is_dragged
-
-    @property
-    def _as_kept(self) -> bool:
-        """The shape in hand is as the history has it."""
-        recipe, session = self.sculptor.recipe, self.session
-        return (dict(session.sliders), dict(session.parts_on)) == (dict(recipe.sliders), dict(recipe.parts_on))
 
     def _ask(self, *, preview: bool = False) -> None:
         if self.worker is None or not self._entered or not self.sculptor.has_machine or self.made is not None:
@@ -221,7 +217,7 @@ class SynthesizePlace:
                 self._show()
         elif result is not None and result.wish == self._wish:  # an answer to an older wish is dropped
             self.made, self._live = result, None
-            if self._as_kept:
+            if self.sculptor.as_kept:
                 self._made_of[self.sculptor.recipe] = result
             self._show_pictures()
             self.session.edit_count += 1  # the mesh can be exported now
@@ -229,8 +225,14 @@ class SynthesizePlace:
             self.view.fit_if_cut()
 
     def _slid(self, index: int, value: float) -> None:
-        setting = value - float(self.sculptor.home()[index])
-        self.session.sliders = {**self.session.sliders, index: 0.0 if abs(setting) < 1e-9 else setting}
+        self.sculptor.slide(index, value)
+
+    def _lock(self, index: int, on: bool) -> None:
+        self.sculptor.lock(index, on)
+        self.inspector.show_wishes()
+        if self.sculptor.pinned():  # another shape may follow the pins
+            self.wanted()
+            self._remember(f"{self.sculptor.names[index]} {'locked' if on else 'unlocked'}")
 
     def _let_go(self, index: int) -> None:
         value = float(self.sculptor.values()[index])
@@ -265,7 +267,7 @@ class SynthesizePlace:
     def take_up(self, recipe: Recipe) -> None:
         """Go on with another shape; locked sliders keep their place."""
         self.between.end()
-        kept = self.sculptor.kept(self.inspector.locked, recipe.base)
+        kept = self.sculptor.kept(recipe.base)
         self.sculptor.start(replace(recipe, sliders={**recipe.sliders, **kept}))
         self.wanted()
         self.view.fit_again()
@@ -281,13 +283,7 @@ class SynthesizePlace:
 
     def take_random(self) -> None:
         """A draw, with what it has to keep to."""
-        self._begin(self.drawn())
-
-    def drawn(self) -> Recipe:
-        """The recipe of a draw: locked sliders and switched parts are kept to."""
-        base = self.sculptor.random_base(self.inspector.locked)
-        number = self.sculptor.draws
-        return Recipe("random", base, parts_on=dict(self.session.parts_on), origin=f"draw {number}")
+        self._begin(self.sculptor.drawn())
 
     def choose_shape(self) -> None:
         """A menu of the family's shapes, and of recipes."""
@@ -303,8 +299,9 @@ class SynthesizePlace:
         self._begin(Recipe(name, self.sculptor.base_of(name), origin=name))
 
     def reset(self) -> None:
-        """All sliders that are not locked to where the shape stands by itself."""
-        self.session.sliders = {i: v for i, v in self.session.sliders.items() if i in self.inspector.locked}
+        """All sliders that are not locked to where the shape stands by itself, and all pins away."""
+        self.session.sliders = {i: v for i, v in self.session.sliders.items() if i in self.session.locked}
+        self.session.pins = {}
         self._remember("reset")
 
     def reset_parts(self) -> None:
@@ -349,7 +346,10 @@ class SynthesizePlace:
         as_points = made is None or self.shown_as.button("points").isChecked()
         self.handles.follow(self.points, None if as_points else made.shape.vertices)
         marks = self.handles.marks()
-        shown = display(self._drawn, made, self._label(), busy, marks, self.is_dragging, failed=bool(self.problem))
+        shown = display(
+            self._drawn, made, self._label(), busy, marks, self.is_dragging, failed=bool(self.problem),
+            n_pins=len(self.sculptor.pinned()),
+        )  # fmt: skip
         self.view.display(shown, fit=fit)
 
     def _show_colours(self) -> None:
@@ -363,7 +363,7 @@ class SynthesizePlace:
 
     def _label(self) -> str:
         label_ = self.sculptor.recipe.label
-        return label_[:1].upper() + label_[1:] + ("" if self._as_kept else ", changed")
+        return label_[:1].upper() + label_[1:] + ("" if self.sculptor.as_kept else ", changed")
 
     def _show_history(self) -> None:
         recipes = self.sculptor.recipes

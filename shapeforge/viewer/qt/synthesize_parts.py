@@ -54,9 +54,20 @@ class DirectionRow(QFrame):
         self.setFixedHeight(84)
 
     def _lock(self, on: bool) -> None:
+        self._show_lock(on)
+        self.locked.emit(on)
+
+    def _show_lock(self, on: bool) -> None:
         self.slider.set_locked(on)
         set_icon(self.lock, "lock" if on else "unlock", "accent_text" if on else "text_off", 14)
-        self.locked.emit(on)
+
+    def show_lock(self, on: bool) -> None:
+        """Show whether it is locked, without telling."""
+        if on != self.lock.isChecked():
+            self.lock.blockSignals(True)
+            self.lock.setChecked(on)
+            self.lock.blockSignals(False)
+            self._show_lock(on)
 
     def set_value(self, value: float, home: float) -> None:
         """Show a value in standard deviations, and where the shape stands by itself."""
@@ -79,7 +90,6 @@ class FamilyMap(QWidget):
         super().__init__()
         self.setFixedHeight(height)
         self.setMouseTracking(True)
-        self.setCursor(Qt.CursorShape.PointingHandCursor)
         self.places = np.zeros((0, 2))
         self._group = np.zeros(0, int)
         self._names: tuple[str, ...] = ()
@@ -159,6 +169,7 @@ class FamilyMap(QWidget):
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
         index = self._at(event)
         self.setToolTip("" if index is None else self._names[index])
+        self.setCursor(Qt.CursorShape.ArrowCursor if index is None else Qt.CursorShape.PointingHandCursor)
 
     def mouseReleaseEvent(self, event: QMouseEvent) -> None:
         index = self._at(event)

@@ -60,12 +60,14 @@ class DrawSection(QWidget):
         )  # fmt: skip
         self.setLayout(column(inside, spacing=0))
 
-    def show_wishes(self, parts: tuple[str, ...] = (), n_locked: int = 0) -> None:
-        """Show the Session's wishes; draws keep ``parts`` (in words: "arms off") and so many locked sliders."""
+    def show_wishes(self, parts: tuple[str, ...] = (), n_locked: int = 0, n_pins: int = 0) -> None:
+        """Show the Session's wishes; draws keep ``parts`` (in words: "arms off"), so many locked sliders and pins."""
         self.temperature.set_value(f"{self.session.temperature:.1f}")
         self.near.setChecked(self.session.near)
-        kept = [*parts, *([f"{n_locked} locked slider{'s' * (n_locked != 1)}"] if n_locked else [])]
-        self.kept.setText(f"They keep: {', '.join(kept)}." if kept else "They keep locked sliders and switched parts.")
+        counted = (n_locked, "locked slider"), (n_pins, "pin")
+        kept = [*parts, *(f"{n} {word}{'s' * (n != 1)}" for n, word in counted if n)]
+        always = "They keep pins, locked sliders and switched parts."
+        self.kept.setText(f"They keep: {', '.join(kept)}." if kept else always)
 
 
 class MeshSection(QWidget):
@@ -107,6 +109,8 @@ class MeshSection(QWidget):
         self.colours.set_value("parts" if no_colours else colours)
         self.colours.button("parts").setToolTip("The colours of the parts, as everywhere in the window")
         self.colours.button("sources").setEnabled(not no_colours)
-        self.colours.button("sources").setToolTip(no_colours or "The materials of the shapes that the parts come from")
+        self.colours.button("sources").setToolTip(
+            no_colours or "The files' own colours, of the shapes that the parts come from"
+        )
         self.note.setText(problem)
         self.note.setVisible(bool(problem))

@@ -197,12 +197,12 @@ class Shows:
             place.centre.setFocus()
             return
         recipes, names, wanted = [], [], []
-        sculptor, locked = place.sculptor, place.inspector.locked
+        sculptor = place.sculptor
         for number in range(CARDS):
-            drawn = place.drawn()
+            drawn = sculptor.drawn()
             drawn = replace(
                 drawn,
-                sliders=sculptor.kept(locked, drawn.base),
+                sliders=sculptor.kept(drawn.base),
                 route=sculptor.recipe.route,
                 union=sculptor.recipe.union,
             )

@@ -50,6 +50,7 @@ class View3D(QWidget):
     size_wheel = Signal(int)
     camera_moved = Signal()
     pulled = Signal(float, float)
+    menu_wanted = Signal(float, float)
 
     def __init__(self, session: Any = None, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -90,6 +91,11 @@ class View3D(QWidget):
     def pointer(self) -> tuple[float, float]:
         """Logical place (x, y) of the pointer when it was last seen over the view."""
         return float(self._last.x()), float(self._last.y())
+
+    @property
+    def pressed_at(self) -> tuple[float, float]:
+        """Logical place (x, y) where a button was last pressed over the view."""
+        return float(self._press.x()), float(self._press.y())
 
     # ---- what is shown -------------------------------------------------------------------------------------------
 
@@ -346,6 +352,8 @@ class View3D(QWidget):
             self.released.emit()
         if (here - self._press).manhattanLength() <= CLICK_SLACK and event.button() == Qt.MouseButton.LeftButton:
             self.clicked.emit(self._meant(here), event.modifiers())
+        elif (here - self._press).manhattanLength() <= CLICK_SLACK and event.button() == Qt.MouseButton.RightButton:
+            self.menu_wanted.emit(here.x(), here.y())
         return True
 
     def _meant(self, here: QPointF) -> Pick | None:
