@@ -255,15 +255,18 @@ def test_parts_that_stay_apart_are_taken_from_elsewhere_and_the_best_is_kept(tab
 
 
 def test_a_gap_that_a_part_less_like_the_draw_would_close_is_not_left(tables, sources, monkeypatch) -> None:
-    draw, shapes = tables[0].points, np.array([0, 0])
-    near = assemble.put_together(draw, BOTH, sources, shapes, False)
-    like = min(1, 2, key=lambda t: assemble.put_together(draw, BOTH, sources, np.array([t, t]), False).cost)
-    whole = assemble.put_together(draw, BOTH, sources, np.array([like, like]), False)
-    assert near.cost < whole.cost  # the table itself is most like it ...
-    wide = 0.6 * (whole.cost - near.cost)
-    monkeypatch.setattr(assemble, "contact_gaps", lambda bent, pairs: {(0, 1): (wide, wide)})
-    monkeypatch.setattr(assemble, "CONTACT_ROUNDS", 1)
-    assert assemble.put_together(draw, BOTH, sources, shapes, False).cost > whole.cost  # ... but not if it gapes
+    first, gap = tables[0].shape.name, [0.0]
+    monkeypatch.setattr(assemble, "_misses", lambda part: np.array([0.01 if part.source.shape == first else 0.02]))
+    monkeypatch.setattr(
+        assemble, "contact_gaps", lambda bent, _: {(0, 1): (gap[0] * (bent[0].source.shape == first),) * 2}
+    )
+
+    def cost(t: int) -> float:
+        return assemble.put_together(tables[0].points, BOTH, sources, np.array([t, t]), False).cost
+
+    assert cost(0) < cost(1)  # the table itself is most like it ...
+    gap[0] = 0.012
+    assert cost(0) > cost(1)  # ... but not if it gapes
 
 
 def test_gaps_are_told_of_the_parts_as_they_come_out(tables, sources, monkeypatch) -> None:
