@@ -83,15 +83,12 @@ def synthesize(task: Task) -> Iterator[Progress]:
         measures[names[i]] = {"sources": made["sources"], **made["measures"]}
         used.append((made["points"], made["exists"], made["recipe"]["hidden"]))
         yield task.progress("synthesize", i + 1, count, names[i])
-    points, exists, hidden = zip(*used, strict=True)
-    latents = replace(drawn.latents, layers=tuple(map(np.array, zip(*hidden, strict=True))), exists=np.stack(exists))
-    drawn = replace(drawn, points=np.stack(points), exists=np.stack(exists), latents=latents)
+    drawn = _as_used(drawn, used)
     write_record(folder / "draws.zarr.zip", {"points": drawn.points, "exists": drawn.exists, "names": names})
     with clear_disk_errors(out):
         write_part_names(out / "labels.json", part_names)
     write_text(out / "measures.json", json.dumps(measures, indent=1))
-    text = _told(measures, out)
-    task.summary |= {"text": text, "count": count, "out": str(out), "names": names}
+    task.summary |= {"text": (text := _told(measures, out)), "count": count, "out": str(out), "names": names}
     yield task.progress("synthesize", count, count, text, state=drawn)
 
 
@@ -107,6 +104,14 @@ def _checked(options: Mapping[str, Any]) -> int:
     if not np.isfinite(options["temperature"]):
         raise StageError(f"temperature: wanted a positive number, got {options['temperature']}")
     return count
+
+
+def _as_used(drawn: Any, used: Sequence[tuple[np.ndarray, np.ndarray, list]]) -> Any:
+    """The draws with the points, parts and hidden units that meshes were made of, other draws among them."""
+    points, exists, hidden = zip(*used, strict=True)
+    layers = tuple(np.array(layer, drawn.points.dtype) for layer in zip(*hidden, strict=True))
+    latents = replace(drawn.latents, layers=layers, exists=np.stack(exists))
+    return replace(drawn, points=np.stack(points), exists=np.stack(exists), latents=latents)
 
 
 def _told(measures: Mapping[str, Mapping[str, Any]], out: Path) -> str:
