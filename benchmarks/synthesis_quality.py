@@ -8,6 +8,7 @@ measured beside the training shapes, their parts cut cleanly: by the ``--routes`
 manifold3d), `labels` (parts cut along the labels as they are) and `surface` (from scratch).  Of the route `parts` is
 asked what a designer would: contact gap and symmetry error within 1.5 times those of the training shapes, no folds, all
 parts on 95 % of the shapes, and a median distance to the nearest training shape above half of theirs to each other.
+Draws whose parts do not go together are drawn anew, as ``shapeforge synthesize`` does (``redrawn``: their share).
 ``--out`` writes contact sheets of at most SHEET shapes each.
 
 Otherwise two kinds of draws: ``between`` lies half-way between two training shapes with the same parts, ``held out`` is
@@ -21,6 +22,7 @@ import argparse
 import json
 import time
 from collections import OrderedDict
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -36,7 +38,9 @@ from shapeforge.collection.prepare import normal_frame
 from shapeforge.collection.shape import Mesh, Shape
 from shapeforge.collection.surface import closest_points
 from shapeforge.generative.draw import draw
-from shapeforge.stages_synthesis import completed, sources_of
+from shapeforge.generative.inference import Latents
+from shapeforge.stages_recipes import points_of
+from shapeforge.stages_synthesis import completed, made_whole, sources_of
 from shapeforge.store import Project
 from shapeforge.synthesis.assemble import SynthesizedShape, synthesize
 from shapeforge.synthesis.cleaning import clean_labels, components, neighbours
@@ -262,11 +266,20 @@ def from_project(
         "surface": partial(synthesize_surface, sources=clean),
     }
     result = {"training": training_figures(shapes, clean, real)}
+
+    def again(i: int, turn: int) -> Latents:
+        return completed(machine, draw(machine, mixture, 1, rng=np.random.default_rng([seed, i, turn])), clean).latents
+
     for name in routes:
+
+        def made_of(latents: Latents, make: Callable = makers[name]) -> SynthesizedShape:
+            return make(points_of(machine, latents), latents.exists[0])
+
         begin = time.process_time()
-        made = [makers[name](np.asarray(p, float), e) for p, e in zip(draws.points, draws.exists, strict=True)]
+        found = [made_whole(made_of, draws.latents[i], partial(again, i)) for i in range(n_draws)]
         seconds = (time.process_time() - begin) / n_draws
-        result[name] = {"cpu_seconds": seconds, **figures_of(made, draws.exists, clean, real, rng)}
+        made, exists = [shape for shape, _ in found], np.concatenate([latents.exists for _, latents in found])
+        result[name] = {"cpu_seconds": seconds, **figures_of(made, exists, clean, real, rng)}
         if sheets:
             for start in range(0, len(made), SHEET):
                 name_of = f"{project.name} {name} {start // SHEET + 1}.png"
@@ -332,6 +345,7 @@ def figures_of(made: list[SynthesizedShape], exists: np.ndarray, sources: Source
         "open_share": float(np.mean([open_share(mesh_of(s)) for s in made])),
         "mmd": like.mmd, "coverage": like.coverage, "one_nn": like.one_nn, "novelty_over_real": new.ratio,
         "distance_from_draw": float(np.mean([shape.measures["distance_from_draw"] for shape in made])),
+        "redrawn": float(np.mean(["redrawn" in shape.measures for shape in made])),
     }  # fmt: skip
     if "largest_gap" in made[0].measures:
         gaps = np.array([shape.measures["largest_gap"] for shape in made])

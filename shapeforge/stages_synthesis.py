@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,6 +22,19 @@ FORMATS = ("glb", "ply", "obj", "stl")
 COLOURS = ("parts", "sources")
 ROUTES = ("parts", "surface")
 """Parts of training shapes, bent and put together; or a new surface around the points (§7)."""
+REDRAWS = 3
+"""Other draws, at most, in place of one that no parts of the family make a whole of: ..."""
+APART = 0.005
+"""... parts stay farther (diagonals) from each other than on the training shapes, ..."""
+UNLIKE = 0.08
+"""... or are this far (diagonals, mean) from where the draw has them."""
+
+TOLD = {
+    "closed": "had open parts, which were closed first (how much: measures.json)",
+    "redrawn": "in place of draws whose parts do not go together (of how many: measures.json)",
+    "not_united": "in parts that cannot be united (why: measures.json)",
+}
+"""What is said of shapes that have one of these among their measures."""
 
 
 def synthesize(task: Task) -> Iterator[Progress]:
@@ -30,6 +43,57 @@ def synthesize(task: Task) -> Iterator[Progress]:
     from shapeforge.stages_recipes import points_of, recipe_of, write_recipe
 
     project, folder, options = task.project, task.folder, task.options
+    count = _checked(options)
+    out = Path(options["out"] or project.path / "synthesized")
+    machine = project.machine()
+    drawn = drawn_as_asked(project, options, count, rng=np.random.default_rng(options["seed"]))
+    sources = sources_of(project)
+    make = mesh_maker(sources, options["route"], union=options["union"])
+    taken = parts_taken(options["take"], sources, options["route"])
+    finish = partial(completed, machine, sources=sources, with_parts=taken, without=options.get("lacking", ()))
+    drawn = finish(drawn)
+    names = [f"{project.name}_{i + 1:03d}" for i in range(count)]
+    part_names = fitted_part_names(project)
+
+    def made_of(latents: Any) -> Any:
+        return make(points_of(machine, latents), latents.exists[0], **({"fixed": taken} if taken else {}))
+
+    def again(i: int, turn: int) -> Any:
+        rng = np.random.default_rng([options["seed"], i, turn])
+        return finish(drawn_as_asked(project, options, 1, rng=rng)).latents
+
+    def work(i: int) -> dict[str, Any]:
+        path = folder / "shapes" / f"{names[i]}.zarr.zip"
+        if path.is_file():
+            made = read_record(path)[0]
+        else:
+            turns = 0 if options.get("between") else REDRAWS
+            shape, latents = made_whole(made_of, drawn.latents[i], partial(again, i), turns)
+            drawing = {"seed": options["seed"], "number": i + 1, "temperature": float(options["temperature"])}
+            drawing |= {name: options[name] for name in ("route", "union", "colours")}
+            made = as_record(shape) | {"points": points_of(machine, latents), "exists": latents.exists[0]}
+            made |= {"recipe": recipe_of(project, latents, shape, **drawing)}
+            write_record(path, made)
+        write_recipe(out / f"{names[i]}.{options['format']}", made["recipe"])
+        write_labelled(out, names[i], made, part_names, options["format"], options["colours"])
+        return made
+
+    measures, used = {}, []
+    for i, made in enumerate(task.workers.map(work, range(count))):
+        measures[names[i]] = {"sources": made["sources"], **made["measures"]}
+        used.append((made["points"], made["exists"], made["recipe"]["hidden"]))
+        yield task.progress("synthesize", i + 1, count, names[i])
+    drawn = _as_used(drawn, used)
+    write_record(folder / "draws.zarr.zip", {"points": drawn.points, "exists": drawn.exists, "names": names})
+    with clear_disk_errors(out):
+        write_part_names(out / "labels.json", part_names)
+    write_text(out / "measures.json", json.dumps(measures, indent=1))
+    task.summary |= {"text": (text := _told(measures, out)), "count": count, "out": str(out), "names": names}
+    yield task.progress("synthesize", count, count, text, state=drawn)
+
+
+def _checked(options: Mapping[str, Any]) -> int:
+    """How many shapes are asked for.  Raises StageError for options that ask for what is not to be had."""
     if options["format"] not in FORMATS:
         raise StageError(f"format: wanted one of {', '.join(FORMATS)}, got {options['format']!r}")
     if options["colours"] not in COLOURS:
@@ -39,47 +103,52 @@ def synthesize(task: Task) -> Iterator[Progress]:
         raise StageError(f"count: wanted at least 1, got {count}")
     if not np.isfinite(options["temperature"]):
         raise StageError(f"temperature: wanted a positive number, got {options['temperature']}")
-    out = Path(options["out"] or project.path / "synthesized")
-    machine = project.machine()
-    drawn = drawn_as_asked(project, options, count, rng=np.random.default_rng(options["seed"]))
-    sources = sources_of(project)
-    make = mesh_maker(sources, options["route"], union=options["union"])
-    taken = parts_taken(options["take"], sources, options["route"])
-    drawn = completed(machine, drawn, sources, with_parts=taken, without=options.get("lacking", ()))
-    names = [f"{project.name}_{i + 1:03d}" for i in range(count)]
-    part_names = fitted_part_names(project)
-    write_record(folder / "draws.zarr.zip", {"points": drawn.points, "exists": drawn.exists, "names": names})
+    return count
 
-    def work(i: int) -> dict[str, Any]:
-        path = folder / "shapes" / f"{names[i]}.zarr.zip"
-        if path.is_file():
-            made = read_record(path)[0]
-        else:
-            shape = make(points_of(machine, drawn.latents[i]), drawn.exists[i], **({"fixed": taken} if taken else {}))
-            drawing = {"seed": options["seed"], "number": i + 1, "temperature": float(options["temperature"])}
-            drawing |= {name: options[name] for name in ("route", "union", "colours")}
-            made = as_record(shape) | {"recipe": recipe_of(project, drawn.latents[i], shape, **drawing)}
-            write_record(path, made)
-        write_recipe(out / f"{names[i]}.{options['format']}", made["recipe"])
-        write_labelled(out, names[i], made, part_names, options["format"], options["colours"])
-        return made
 
-    measures = {}
-    for i, made in enumerate(task.workers.map(work, range(count))):
-        measures[names[i]] = {"sources": made["sources"], **made["measures"]}
-        yield task.progress("synthesize", i + 1, count, names[i])
-    with clear_disk_errors(out):
-        write_part_names(out / "labels.json", part_names)
-    write_text(out / "measures.json", json.dumps(measures, indent=1))
-    text = f"{count} shapes in {out}"
-    closed = sum("closed" in found for found in measures.values())
-    if closed:
-        text += f"; {closed} of them had open parts, which were closed first (how much: measures.json)"
-    apart = sum("not_united" in found for found in measures.values())
-    if apart:
-        text += f"; {apart} of them in parts that cannot be united (why: measures.json)"
-    task.summary |= {"text": text, "count": count, "out": str(out), "names": names}
-    yield task.progress("synthesize", count, count, text, state=drawn)
+def _as_used(drawn: Any, used: Sequence[tuple[np.ndarray, np.ndarray, list]]) -> Any:
+    """The draws with the points, parts and hidden units that meshes were made of, other draws among them."""
+    points, exists, hidden = zip(*used, strict=True)
+    layers = tuple(np.array(layer, drawn.points.dtype) for layer in zip(*hidden, strict=True))
+    latents = replace(drawn.latents, layers=layers, exists=np.stack(exists))
+    return replace(drawn, points=np.stack(points), exists=np.stack(exists), latents=latents)
+
+
+def _told(measures: Mapping[str, Mapping[str, Any]], out: Path) -> str:
+    """What was made, in a sentence, from the ``measures`` of every shape."""
+    text = f"{len(measures)} shapes in {out}"
+    for key, words in TOLD.items():
+        number = sum(key in found for found in measures.values())
+        if number:
+            text += f"; {number} of them {words}"
+    return text
+
+
+def made_whole(
+    make: Callable[[Any], Any], latents: Any, again: Callable[[int], Any], turns: int = REDRAWS
+) -> tuple[Any, Any]:
+    """The shape that ``make`` makes of ``latents``, and these; where it is not whole, of others: ``again(turn)``.
+
+    A fit that takes a side panel for a backrest is drawn like any shape, and no part of the family goes there.  After
+    ``turns`` the best is kept; ``measures["redrawn"]`` of the shape tells how many draws were put aside for it.
+    """
+    shape, kept, turn = make(latents), latents, 0
+    fault = _fault(shape)
+    while fault > 1 and turn < turns:
+        turn += 1
+        other = again(turn)
+        made = make(other)
+        if _fault(made) < fault:
+            fault, shape, kept = _fault(made), made, other
+    return (replace(shape, measures={**shape.measures, "redrawn": turn}) if turn else shape), kept
+
+
+def _fault(shape: Any) -> float:
+    """How far from whole a shape is: at most 1 if it need not be drawn anew.  A new surface is in one piece anyway."""
+    measures = shape.measures
+    if "largest_gap" not in measures:
+        return 0.0
+    return max(measures["largest_gap"] / APART, (measures["distance_from_draw"] or 0.0) / UNLIKE)
 
 
 def mesh_maker(sources: Any, route: str, *, union: bool = False) -> Callable[..., Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -15,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shapeforge import stages
+from shapeforge import stages, stages_synthesis
 from shapeforge.collection.families import write_family
 from shapeforge.collection.groups import join_groups
 from shapeforge.collection.iterate import last
@@ -30,10 +31,13 @@ from shapeforge.stages_collection import edits_of, merged_part_names
 from shapeforge.stages_draws import drawn_as_asked, latents_of
 from shapeforge.stages_model import curve, named_split, starting_groups, starting_parts
 from shapeforge.stages_pose import turn_by_hand
+from shapeforge.stages_recipes import read_recipe, remake
 from shapeforge.stages_refine import judging_shapes, machine_prior, on_template
 from shapeforge.stages_status import Corrections, corrections, options_of
+from shapeforge.stages_synthesis import made_whole
 from shapeforge.stages_warm import warm_start
 from shapeforge.store import Project
+from shapeforge.synthesis.assemble import SynthesizedShape
 from shapeforge.workers import Workers
 
 POINTS, COUNT = 400, 6
@@ -765,3 +769,45 @@ def test_draws_as_asked_for(done: Project) -> None:
 def test_what_cannot_be_drawn_is_said(done: Project, options: dict) -> None:
     with pytest.raises(StageError, match=r"wanted|called|asked for"):
         drawn(done, 2, **options)
+
+
+# -- draws that nothing can be made of --------------------------------------------------------------------------------
+
+
+def shape_with(**measures: float) -> SynthesizedShape:
+    return SynthesizedShape(
+        np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros(0, np.int32), (), (), measures
+    )  # fmt: skip
+
+
+def test_a_draw_whose_parts_do_not_go_together_is_drawn_anew_and_the_best_is_kept() -> None:
+    def made(gap: float) -> SynthesizedShape:
+        return shape_with(largest_gap=gap, distance_from_draw=0.01)
+
+    whole, kept = made_whole(made, 0.001, lambda turn: pytest.fail("drawn anew"))
+    assert kept == 0.001 and "redrawn" not in whole.measures
+    later, kept = made_whole(made, 0.1, {1: 0.2, 2: 0.002, 3: 0.0}.__getitem__)
+    assert kept == 0.002 and later.measures == {"largest_gap": 0.002, "distance_from_draw": 0.01, "redrawn": 2}
+    never, kept = made_whole(made, 0.1, {1: 0.2, 2: 0.05, 3: 0.3}.__getitem__)
+    assert kept == 0.05 and never.measures["redrawn"] == 3 and never.measures["largest_gap"] == 0.05
+    unlike = {0: shape_with(largest_gap=0.0, distance_from_draw=0.2), 1: made(0.0)}
+    assert made_whole(unlike.__getitem__, 0, lambda turn: turn)[1] == 1
+    assert made_whole(unlike.__getitem__, 0, lambda turn: turn, turns=0)[1] == 0
+    assert made_whole(lambda _: shape_with(distance_from_draw=0.2), 7, lambda turn: turn)[1] == 7  # a new surface
+
+
+def test_a_shape_in_place_of_another_says_so_and_its_recipe_makes_it_again(
+    done: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project, out = copy_of(done, tmp_path / "p"), tmp_path / "new"
+    first = json.loads((done.path.parent / "new" / "measures.json").read_text())
+    monkeypatch.setattr(stages_synthesis, "UNLIKE", 1e-6)  # nothing is ever so near
+    monkeypatch.setattr(stages_synthesis, "REDRAWS", 1)
+    last(run(project, "synthesize", count=2, out=str(out)))
+    for name, found in json.loads((out / "measures.json").read_text()).items():
+        assert found["redrawn"] == 1
+        assert found["distance_from_draw"] <= first[name]["distance_from_draw"]
+        recipe = read_recipe(out / f"{name}.glb.recipe.json")
+        again = remake(project, recipe)
+        assert again.measures["distance_from_draw"] == found["distance_from_draw"]
+    assert "in place of draws" in project.stage_record("synthesize")["summary"]["text"]

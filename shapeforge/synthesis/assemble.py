@@ -30,8 +30,10 @@ GOOD = 0.001
 """Faults (diagonals) of a contact that are not worth another look."""
 WIDE = 0.004
 """Parts that stay farther (diagonals) apart are taken from one shape or, if they were, from another one ..."""
-RETRIES = 2
+RETRIES = 4
 """... so often, and the best is kept."""
+SEEN = 3.0
+"""A gap is seen at once, a part that is a little other than the draw never: so many times as bad."""
 FOLD = 0.002
 """A folded pair of triangles is as bad as so wide a gap (diagonals)."""
 
@@ -135,8 +137,11 @@ def put_together(
         stubborn |= {pair for pair, (_, new) in touch[0].items() if new > SLACK}
     if told is None:
         told = contact_gaps(best, contacts), {} if preview else contact_depths(best, contacts)
-    cost = (0.0 if least == np.inf else least) + sum(float(_misses(part).mean()) for part in best.values())
-    return PutTogether(best, *told, cost)
+    if any(part.folds for part in best.values()):  # to ease these may move a contact
+        best = {l: unfolded(part) for l, part in best.items()}
+        told = contact_gaps(best, contacts), {} if preview else contact_depths(best, contacts)
+    misses = sum(float(_misses(part).mean()) for part in best.values())
+    return PutTogether(best, *told, misses + SEEN * _faults(best, *told))
 
 
 def _misses(part: BentPart) -> np.ndarray:
@@ -153,10 +158,7 @@ def _faults(bent: Mapping[int, BentPart], apart: Mapping, deep: Mapping) -> floa
 
 def _merge(parts: PutTogether, sources: Sources) -> SynthesizedShape:
     """All parts in one mesh, without triangles that collapsed, and its measures."""
-    bent = {l: unfolded(piece) for l, piece in parts.bent.items()}
-    apart, depths = parts.gaps, parts.depths
-    if any(piece.eased is not None for piece in bent.values()):  # which may have moved a contact
-        apart, depths = contact_gaps(bent, list(apart)), contact_depths(bent, list(depths))
+    bent, apart, depths = parts.bent, parts.gaps, parts.depths
     vertices, triangles, part, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int32)], [np.zeros(0, np.int32)], 0
     folds, miss, colours = 0, [], [np.zeros((0, 3), np.uint8)]
     for l, piece in bent.items():

@@ -134,13 +134,29 @@ def bend(part: BentPart, held: Mapping[int, np.ndarray], *, preview: bool) -> Be
 
 
 def unfolded(part: BentPart) -> BentPart:
-    """The part with the vertices about what is folded still moved with their neighbours, until nothing is.
+    """The part with what is folded still moved as little as will undo it.
 
-    The affine map folds nothing, and displacements from it that are alike don't either.  The least folded is kept.
+    The affine map folds nothing, and displacements from it that are alike don't either.  The least folded is kept, and
+    of those the one that moved least: contacts were closed before.
     """
-    source, vertices = part.source, part.vertices
     if part.folds == 0:
         return part
+    eased = _eased(part)
+    found = [eased, _flattened(part, part.vertices)]
+    if all(_n_folds(part, vertices) for vertices in found):
+        found.append(_flattened(part, eased))
+    moved = [float(np.abs(vertices - part.vertices).max()) for vertices in found]
+    best = min(range(len(found)), key=lambda i: (_n_folds(part, found[i]), moved[i]))
+    return replace(part, eased=found[best])
+
+
+def _n_folds(part: BentPart, vertices: Float[np.ndarray, "V 3"]) -> int:
+    return inverted_triangles(part.affine, vertices, part.source.triangles, part.source.neighbours)
+
+
+def _eased(part: BentPart) -> Float[np.ndarray, "V 3"]:
+    """The vertices; those about what is folded still are moved with their neighbours, until nothing is."""
+    source, vertices = part.source, part.vertices
     best, fewest, n = vertices, np.inf, len(vertices)
     ends = np.concatenate([source.triangles[:, [0, 1]], source.triangles[:, [1, 2]], source.triangles[:, [2, 0]]])
     joined = csr_array((np.ones(2 * len(ends)), np.concatenate([ends, ends[:, ::-1]]).T), shape=(n, n))
@@ -159,7 +175,7 @@ def unfolded(part: BentPart) -> BentPart:
         for _ in range(1 + turn):
             shift = np.where(near[:, None] > 0, (shift + (joined @ shift) / degree) / 2, shift)
         vertices = part.affine + shift
-    return replace(part, eased=best if fewest == 0 else _flattened(part, best))
+    return best
 
 
 def _flattened(part: BentPart, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:

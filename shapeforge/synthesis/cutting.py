@@ -99,22 +99,10 @@ def _cut(
     """All vertices, the triangles cut along the ties of ``field``, which triangle each comes from, and its label."""
     winner = field.argmax(axis=1)
     edges, edge_of_side = sides_of(triangles)
-    a, b = edges.T
-    rows = np.arange(len(edges))
-    lead_a = field[a, winner[a]] - field[a, winner[b]]
-    lead_b = field[b, winner[b]] - field[b, winner[a]]
-    crossed = winner[a] != winner[b]
-    share = np.where(crossed, lead_a / np.maximum(lead_a + lead_b, 1e-300), 0.5)
-    # A vertex very near to every crossing of its edges lies on the border itself.
-    farthest = np.zeros(len(vertices))
-    np.maximum.at(farthest, a[crossed], share[crossed])
-    np.maximum.at(farthest, b[crossed], 1 - share[crossed])
-    tied = (farthest > 0) & (farthest < ON_VERTEX)
-    split = crossed & ~tied[a] & ~tied[b]
-    share = np.clip(share, SLIVER, 1 - SLIVER)[:, None]
+    split, share, tied = _crossings(edges, winner, field)
     middle = np.full(len(edges), -1)
     middle[split] = len(vertices) + np.arange(split.sum())
-    at = np.concatenate([vertices, ((1 - share) * vertices[a] + share * vertices[b])[rows[split]]])
+    at = np.concatenate([vertices, ((1 - share) * vertices[edges[:, 0]] + share * vertices[edges[:, 1]])[split]])
     cuts = middle[edge_of_side].reshape(-1, 3)
     count = (cuts >= 0).sum(axis=1)
     pieces, origin, new = [], [], []
@@ -150,6 +138,23 @@ def _cut(
         add(row, [t[:, i], m[:, i], centre], winner[t[:, i]])
         add(row, [t[:, i], centre, m[:, i - 1]], winner[t[:, i]])
     return at, np.concatenate(pieces), np.concatenate(origin), np.concatenate(new)
+
+
+def _crossings(
+    edges: Int[np.ndarray, "E 2"], winner: Int[np.ndarray, " V"], field: Float[np.ndarray, "V L"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which edges a border crosses (E,), at what share of their length (E, 1), and which vertices are on it (V,)."""
+    a, b = edges.T
+    lead_a = field[a, winner[a]] - field[a, winner[b]]
+    lead_b = field[b, winner[b]] - field[b, winner[a]]
+    crossed = winner[a] != winner[b]
+    share = np.where(crossed, lead_a / np.maximum(lead_a + lead_b, 1e-300), 0.5)
+    # A vertex very near to every crossing of its edges lies on the border itself.
+    farthest = np.zeros(len(field))
+    np.maximum.at(farthest, a[crossed], share[crossed])
+    np.maximum.at(farthest, b[crossed], 1 - share[crossed])
+    tied = (farthest > 0) & (farthest < ON_VERTEX)
+    return crossed & ~tied[a] & ~tied[b], np.clip(share, SLIVER, 1 - SLIVER)[:, None], tied
 
 
 def _keep_what_would_vanish(

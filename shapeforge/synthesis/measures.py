@@ -22,6 +22,7 @@ FAR = 0.05
 MISPLACED = 0.03
 MENDED = 0.4
 HOLES = 4.0
+ONE_SIDED = 0.3
 FEWEST_TRIANGLES = 8
 THINNEST = 1e-5
 """Height (diagonals) of the flattest triangle whose side is worth looking at."""
@@ -37,7 +38,8 @@ class PartQuality:
     part as it was cut; ``unexplained`` the share of the part's vertices farther than .05 diagonals plus three spacings
     from all its points; ``misplaced`` the mean distance (diagonals) from those points to the part's surface;
     ``mended`` the share of the part's area, before or after, that cleaning took away or added (specks, islands);
-    ``holes`` the length (diagonals) of cuts through closed surface that no lid closes.
+    ``holes`` the length (diagonals) of cuts through closed surface that no lid closes; ``one_sided`` the share of the
+    part's area whose mirror image on the shape belongs to other parts (one armrest of two).
     """
 
     n_triangles: int
@@ -46,6 +48,7 @@ class PartQuality:
     misplaced: float
     mended: float = 0.0
     holes: float = 0.0
+    one_sided: float = 0.0
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -63,6 +66,8 @@ class PartQuality:
             found.append(f"uncertain faces ({self.mended:.0%} reassigned)")
         if self.holes > HOLES:
             found.append(f"cut open ({self.holes:.2f})")
+        if self.one_sided > ONE_SIDED:
+            found.append(f"on one side only ({self.one_sided:.0%} without its mirror image)")
         return tuple(found)
 
     @property
@@ -81,7 +86,7 @@ class PartQuality:
         """Each measure as a share of what is bearable."""
         return (
             self.raggedness / RAGGED, self.unexplained / UNEXPLAINED, self.misplaced / MISPLACED,
-            self.mended / MENDED, self.holes / HOLES,
+            self.mended / MENDED, self.holes / HOLES, self.one_sided / ONE_SIDED,
         )  # fmt: skip
 
 

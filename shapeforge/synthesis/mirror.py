@@ -15,6 +15,8 @@ SYMMETRIC = 0.02
 """A part is symmetric if on the median shape its points lie so near (diagonals) to their partners' mirror images."""
 ALIKE = 0.9
 """Cosine of the normals of two planes that speak for one direction."""
+USUALLY, FEWEST_SHAPES = 0.75, 3
+"""A point is always on one side if it is OFF the plane there on at least this share, and number, of the shapes."""
 BOX, OFF = 0.06, 0.05
 """Boxes of opposite parts agree so far once mirrored, and their middles are so far off the plane (diagonals)."""
 
@@ -26,7 +28,8 @@ class FamilyMirror:
     ``parts`` are pairs of parts that are each other's mirror image (left and right wing as two parts).  ``partner``
     (K,) is the point whose mirror image is nearest over the family, ``shift`` (K, 3) the way from that image to the
     point, which is there because points are not sampled symmetrically (diagonals); ``symmetric`` (L,) tells the parts
-    that the family has symmetric; ``error`` (L,) how far they are from it on the median shape.
+    that the family has symmetric; ``error`` (L,) how far they are from it on the median shape.  ``side`` (K,) is the
+    sign of a point's place along the normal, from the plane, where the family has it on one side; else 0.
     """
 
     normal: Float[np.ndarray, " 3"]
@@ -35,6 +38,7 @@ class FamilyMirror:
     shift: Float[np.ndarray, "K 3"]
     symmetric: Bool[np.ndarray, " L"]
     error: Float[np.ndarray, " L"]
+    side: Int[np.ndarray, " K"]
 
     def place(self, points: Float[np.ndarray, "K 3"], part: Int[np.ndarray, " K"]) -> float:
         """Where the plane of a shape or draw lies along the normal (diagonals): half-way between opposite points."""
@@ -51,6 +55,7 @@ class FamilyMirror:
         A part that would have to move more than SYMMETRIC for it is not as on most shapes, and stays: twin fins in a
         family of single ones.
         """
+        points = self.on_both_sides(points, part)
         there = np.isfinite(points).all(axis=1)
         paired = there & there[self.partner] & self.symmetric[part]
         image = mirrored(points, self.normal, self.place(points, part))[self.partner] + self.shift
@@ -60,6 +65,25 @@ class FamilyMirror:
             np.bincount(part, paired, n_parts), 1
         )
         return points + np.where((length <= SYMMETRIC)[part][:, None], way, 0.0)
+
+    def on_both_sides(self, points: Float[np.ndarray, "K 3"], part: Int[np.ndarray, " K"]) -> np.ndarray:
+        """The draw (K, 3), where a part that the family has on both sides is not left on one of them.
+
+        Fits find one armrest where two are hard to tell from the rest, and draws take that over: what should be on the
+        other side is put there, as the mirror image of where it is.
+        """
+        points, there = np.array(points), np.isfinite(points).all(axis=1)
+        for l in range(len(self.symmetric)):
+            here = [there & (part == l) & (self.side == sign) for sign in (-1, 1)]
+            if not all(side.any() for side in here):
+                continue
+            others = np.where((part == l)[:, None], np.nan, points)
+            place = self.place(others if np.isfinite(others).any() else points, part)
+            wrong = (points @ self.normal - place) * self.side < 0
+            for side, other in (here, here[::-1]):
+                if wrong[side].mean() >= USUALLY and wrong[other].mean() <= 1 - USUALLY:
+                    points[side] = mirrored(points[side], self.normal, place)
+        return points
 
 
 def find_mirror(
@@ -77,7 +101,7 @@ def find_mirror(
     some, there = some[rows], there[rows]
     if not len(some):
         nobody = np.arange(len(part)), np.zeros((len(part), 3)), np.zeros(n_parts, bool), np.full(n_parts, np.inf)
-        return FamilyMirror(np.array([1.0, 0.0, 0.0]), (), *nobody)
+        return FamilyMirror(np.array([1.0, 0.0, 0.0]), (), *nobody, np.zeros(len(part), int))
     normal = _common_normal(np.array([symmetry_plane(p[t])[0] for p, t in zip(some, there, strict=True)]))
     pairs = _opposite_parts(some, there, part, n_parts, normal)
     along = np.where(there, some @ normal, np.nan)
@@ -96,7 +120,15 @@ def find_mirror(
     for l in range(n_parts):
         means = [float(m[b].mean()) for m, b in zip(miss[:, part == l], both[:, part == l], strict=True) if b.any()]
         error[l] = np.median(means) if means else np.inf
-    return FamilyMirror(normal, tuple(pairs), partner, shift, error <= SYMMETRIC, error)
+    side = _sides(np.where(there, along - middle[:, None], np.nan))
+    return FamilyMirror(normal, tuple(pairs), partner, shift, error <= SYMMETRIC, error, side)
+
+
+def _sides(along: Float[np.ndarray, "T K"]) -> Int[np.ndarray, " K"]:
+    """The side (-1, 1) that points are on, by their distances from the plane (NaN where absent); 0 where it varies."""
+    known = np.isfinite(along).sum(axis=0)
+    left, right = ((sign * along > OFF).sum(axis=0) >= USUALLY * np.maximum(known, 1) for sign in (-1, 1))
+    return np.where(known >= FEWEST_SHAPES, right.astype(int) - left.astype(int), 0)
 
 
 def _common_normal(normals: np.ndarray) -> Float[np.ndarray, " 3"]:

@@ -9,10 +9,12 @@ from jaxtyping import Float, Int
 
 from shapeforge.collection.shape import Mesh
 from shapeforge.collection.surface import closest_points
+from shapeforge.collection.symmetry import mirrored
 from shapeforge.synthesis.capping import cap
 from shapeforge.synthesis.cleaning import areas, clean_labels, components, neighbours
 from shapeforge.synthesis.cutting import smooth_borders
 from shapeforge.synthesis.measures import PartQuality, far_from, raggedness
+from shapeforge.synthesis.mirror import FamilyMirror
 from shapeforge.synthesis.surfaces import as_mesh, drop_bad, good_triangles, refine, weld
 
 EDGE_LENGTH = 0.05
@@ -23,6 +25,10 @@ UNEXPLAINED_PIECE = 0.6
 """A component of a part with more than this share of its vertices far from all points of the part is left out ..."""
 MOST_LEFT_OUT = 0.4
 """... unless that takes more than this share of the part's area."""
+MIRRORED = 0.02
+"""A mirror image so near (diagonals) to the shape's surface lies on it ..."""
+ELSEWHERE = 0.04
+"""... and on other parts, if it is farther than this from its own part."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +88,30 @@ def cut_part(cut: CutMesh, part: int, handles: Float[np.ndarray, "C 3"]) -> tupl
         int(own.sum()), ragged, float(far[at].mean()), misplaced, float(cut.mended[part]), holes
     )  # fmt: skip
     return vertices, triangles, quality
+
+
+def one_sided_shares(
+    cut: CutMesh, positions: Float[np.ndarray, "K 3"], part: Int[np.ndarray, " K"], mirror: FamilyMirror
+) -> Float[np.ndarray, " L"]:
+    """Share of every part's area whose mirror image lies on the shape, but on no part that it may lie on; (L,).
+
+    A symmetric shape on which one armrest of two was labelled; a shape that is not symmetric there has none of it.
+    ``positions`` (NaN where absent) are the corresponding points, which tell where the shape's mirror is.
+    """
+    found = np.zeros(len(cut.mended))
+    if not len(cut.triangles):
+        return found
+    whole, area = as_mesh(cut.vertices, cut.triangles), areas(cut.vertices, cut.triangles)
+    centres = cut.vertices[cut.triangles].mean(axis=1)
+    images = mirrored(centres, mirror.normal, mirror.place(positions, part))
+    _, under, away = closest_points(whole, images)
+    for l in np.unique(cut.label[cut.label >= 0]):
+        allowed = [l, *(other for pair in mirror.parts if l in pair for other in pair)]
+        rows = np.flatnonzero((cut.label == l) & (away < MIRRORED) & ~np.isin(cut.label[under], allowed))
+        own = as_mesh(cut.vertices, cut.triangles[np.isin(cut.label, allowed)])
+        rows = rows[closest_points(own, images[rows])[2] > ELSEWHERE] if len(rows) else rows
+        found[l] = area[rows].sum() / max(float(area[cut.label == l].sum()), 1e-300)
+    return found
 
 
 def _explained(cut: CutMesh, own: np.ndarray, far: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from shapeforge.synthesis.depths import depths, directions_into
 from shapeforge.synthesis.embedded import DeformationGraph, build_graph
 from shapeforge.synthesis.measures import PartQuality
 from shapeforge.synthesis.mirror import FamilyMirror, find_mirror
-from shapeforge.synthesis.parts import cut_mesh, cut_part
+from shapeforge.synthesis.parts import cut_mesh, cut_part, one_sided_shares
 from shapeforge.synthesis.surfaces import (
     as_mesh,
     distinct_triangles,
@@ -173,7 +173,7 @@ class Sources:
                 return self._cache[index]
         parts = read_parts(
             self.get_shape(index), np.asarray(self.face_labels[index]), self.positions[index], self.part, self.n_parts,
-            painted=self.names[index] in self.painted, smooth=self.smooth,
+            painted=self.names[index] in self.painted, smooth=self.smooth, mirror=self.mirror,
         )  # fmt: skip
         with self._lock:
             self._cache[index] = parts
@@ -259,8 +259,12 @@ def read_parts(
     *,
     painted: bool = False,
     smooth: bool = True,
+    mirror: FamilyMirror | None = None,
 ) -> dict[int, SourcePart]:
-    """Every part of a shape: cut from the mesh by label, cleanly, with handles, quality and anchors."""
+    """Every part of a shape: cut from the mesh by label, cleanly, with handles, quality and anchors.
+
+    Without the family's ``mirror`` no part is found to be on one side only.
+    """
     mesh = shape.mesh
     if len(faces) != mesh.n_faces:
         raise ValueError(
@@ -269,6 +273,7 @@ def read_parts(
         )
     labels = np.asarray(faces)[mesh.face_of_triangle]
     cut = cut_mesh(mesh, labels, np.asarray(positions, float), part, n_parts, painted=painted, smooth=smooth)
+    one_sided = np.zeros(n_parts) if mirror is None else one_sided_shares(cut, positions, part, mirror)
     found: dict[int, SourcePart] = {}
     for l in range(n_parts):
         template = np.flatnonzero((part == l) & np.isfinite(positions).all(axis=1))
@@ -277,7 +282,8 @@ def read_parts(
         handles = np.asarray(positions[template], float)
         vertices, triangles, quality = cut_part(cut, l, handles)
         found[l] = SourcePart(
-            shape.name, l, vertices, triangles, touching_pieces(vertices, triangles), template, handles, quality,
+            shape.name, l, vertices, triangles, touching_pieces(vertices, triangles), template, handles,
+            replace(quality, one_sided=float(one_sided[l])),
             colours=_colours_of(mesh, labels == l, vertices[triangles].mean(axis=1)),
         )  # fmt: skip
     anchors = _find_anchors(found)

@@ -8,6 +8,7 @@ theirs are, and in the middle between them.  Parts are united, so that the surfa
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,7 @@ from scipy.ndimage import map_coordinates, maximum_filter
 from scipy.sparse import csr_array
 
 from shapeforge.collection.materials import PLAIN
-from shapeforge.collection.surface import closest_points
+from shapeforge.collection.surface import SearchedMesh, closest_points
 from shapeforge.synthesis.assemble import SynthesizedShape, put_together
 from shapeforge.synthesis.bending import BentPart, bend, start_part
 from shapeforge.synthesis.closing import closed_solids
@@ -45,6 +46,11 @@ BAND = 4.0
 THINNEST = 0.7
 """Half the thickness, in steps of the lattice, that thinner plates are given, or they would have holes."""
 FAIRINGS = 4
+SNAPS = 4
+"""Times that vertices on a seam of two parts are moved onto one and the other in turn, the others twice onto their own:
+the lenders' mean surfaces know of no lattice."""
+SEAM = 0.5
+"""A vertex is on the seam if it is as near to both parts, but for this share of the lattice's step."""
 SMALLEST = 2e-4
 """Pieces with a smaller share of the volume are left out: crumbs."""
 
@@ -81,16 +87,11 @@ def synthesize_surface(
     if not bent:
         raise ValueError("points: wanted a draw with points, got none. Does it have any part?")
     lattice = _lattice_around(np.concatenate([part.vertices for part in bent.values()]), cell)
-    lenders = {l: [part, *_others(points, l, int(shapes[l]), sources)] for l, part in bent.items()}
-    fields, counted = {}, {}
-    for l, given in lenders.items():
-        fields[l], counted[l] = _mean_field(given, lattice)
-    steps, triangles = isosurface(_without_crumbs(np.maximum.reduce(list(fields.values()))), 0.0)
+    means = {l: _mean(part, _others(part, points, int(shapes[l]), sources), lattice) for l, part in bent.items()}
+    steps, triangles = isosurface(_without_crumbs(np.maximum.reduce([mean.field for mean in means.values()])), 0.0)
     steps = _fair(steps, triangles)
-    vertices = lattice.origin + lattice.cell * steps
-    centres = steps[triangles].mean(axis=1).T
-    inside = np.stack([map_coordinates(field, centres, order=1, mode="nearest") for field in fields.values()])
-    part = np.array(list(fields))[inside.argmax(axis=0)].astype(np.int32)
+    part = _innermost(means, steps[triangles].mean(axis=1))[0]
+    vertices = _snapped(lattice.origin + lattice.cell * steps, *_innermost(means, steps), means, lattice.cell)
     known = np.isfinite(points).all(axis=1)
     plane = sources.mirror.normal, sources.mirror.place(points, sources.part)
     measures = {
@@ -98,7 +99,7 @@ def synthesize_surface(
         "distance_from_draw": float(closest_points(as_mesh(vertices, triangles), points[known])[2].mean()),
         "open_edges": open_edges(triangles),
         "n_triangles": len(triangles),
-        "lenders": {sources.part_names[l]: counted[l] for l in counted},
+        "lenders": {sources.part_names[l]: list(mean.names) for l, mean in means.items()},
     }
     return SynthesizedShape(
         vertices, triangles, part, sources.part_names, ("",) * sources.n_parts, measures,
@@ -116,55 +117,103 @@ def _lattice_around(vertices: np.ndarray, cell: float | None) -> _Lattice:
     return _Lattice(low - MARGIN * cell, cell, shape)
 
 
-def _others(points: np.ndarray, part: int, first: int, sources: Sources) -> list[BentPart]:
-    """The part of further training shapes that are about as near to the draw as the ``first``, bent to it."""
-    away = part_distances(points, sources, part)
+def _others(part: BentPart, points: np.ndarray, first: int, sources: Sources) -> list[BentPart]:
+    """The part of further training shapes that are about as near to the draw as the ``first``, bent to where the
+    ``part`` of that one was put: there it touches the others."""
+    l, wanted = part.source.part, np.full(points.shape, np.nan)
+    wanted[part.source.template] = part.placed
+    away = part_distances(points, sources, l)
     found: list[BentPart] = []
     for t in np.argsort(away, kind="stable")[: 2 * LENDERS]:
         if len(found) == LENDERS - 1 or not away[t] <= FARTHER * away[first]:
             break
-        source = None if t == first else sources.part_of(int(t), part)
-        started = None if source is None or source.quality.badness else start_part(source, points)
+        source = None if t == first else sources.part_of(int(t), l)
+        started = None if source is None or source.quality.badness else start_part(source, wanted)
         if started is not None:
             found.append(bend(started, {}, preview=True))
     return found
 
 
-def _mean_field(lenders: list[BentPart], lattice: _Lattice) -> tuple[Float[np.ndarray, "X Y Z"], list[str]]:
-    """Signed distance from the mean surface of the lenders that are like the first, and their names; -BAND far away."""
+@dataclass(frozen=True, eq=False)
+class _Mean:
+    """The mean of bent parts: signed distance ``field`` on a lattice of step ``cell``, -BAND steps far away; their
+    closed ``solids`` and ``names``."""
+
+    field: Float[np.ndarray, "X Y Z"]
+    cell: float
+    solids: tuple[SearchedMesh, ...]
+    names: tuple[str, ...]
+
+    def nearest(self, places: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3"]:
+        """The places moved as the ways to the nearest points of all lenders are on average: near the mean surface."""
+        return np.mean([closest_points(solid, places)[0] for solid in self.solids], axis=0)
+
+
+def _mean(part: BentPart, others: list[BentPart], lattice: _Lattice) -> _Mean:
+    """The mean of a part and of those of the others that are like it."""
     reach = BAND * lattice.cell
     field = np.full(lattice.shape, -reach)
-    at = lenders[0].vertices
+    at = part.vertices
     low = np.clip(((at.min(axis=0) - lattice.origin) / lattice.cell).astype(int) - MARGIN, 0, None)
     high = np.minimum(((at.max(axis=0) - lattice.origin) / lattice.cell).astype(int) + MARGIN + 2, lattice.shape)
     box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
     origin, shape = lattice.origin + lattice.cell * low, tuple((high - low).tolist())
-    total, names = None, []
-    for lender in lenders:
-        vertices, triangles = _solid(lender)
-        own = signed_distance(vertices, triangles, origin, lattice.cell, shape, reach)
-        if total is None:
-            first, total = own, own.copy()
-            near = np.abs(first) < 0.5 * reach
-        elif near.any() and float(np.quantile(np.abs(own - first)[near], MOST)) <= ALIKE:
+    solids = [_solid(part)]
+    first = signed_distance(solids[0].vertices, solids[0].triangles, origin, lattice.cell, shape, reach)
+    total, names, near = first.copy(), [part.source.shape], np.abs(first) < 0.5 * reach
+    for lender in others:
+        solid = _solid(lender)
+        own = signed_distance(solid.vertices, solid.triangles, origin, lattice.cell, shape, reach)
+        if near.any() and float(np.quantile(np.abs(own - first)[near], MOST)) <= ALIKE:
             total += own
-        else:
-            continue
-        names.append(lender.source.shape)
+            solids.append(solid)
+            names.append(lender.source.shape)
     mean = total / len(names)
     least = THINNEST * lattice.cell
     field[box] = mean + np.clip(least - maximum_filter(mean, 3), 0, least)
-    return field, names
+    return _Mean(field, lattice.cell, tuple(solids), tuple(names))
 
 
-def _solid(part: BentPart) -> tuple[Vertices, Triangles]:
+def _innermost(means: Mapping[int, _Mean], steps: Float[np.ndarray, "P 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """The part (P,) that each place (lattice steps) is deepest in, or nearest to, and the next one (P,) if it is hardly
+    less so (by SEAM times the lattice's step, which the fields tell); else -1."""
+    inside = np.stack([map_coordinates(mean.field, steps.T, order=1, mode="nearest") for mean in means.values()])
+    parts, cell = np.array(list(means), np.int32), next(iter(means.values())).cell
+    first = inside.argmax(axis=0)
+    depth = inside.max(axis=0)
+    np.put_along_axis(inside, first[None], -np.inf, axis=0)
+    return parts[first], np.where(inside.max(axis=0) > depth - SEAM * cell, parts[inside.argmax(axis=0)], -1)
+
+
+def _snapped(
+    vertices: Float[np.ndarray, "V 3"], part: Int[np.ndarray, " V"], other: Int[np.ndarray, " V"],
+    means: Mapping[int, _Mean], most: float,
+) -> Float[np.ndarray, "V 3"]:  # fmt: skip
+    """The vertices on the mean surface of their part, and on the seam with the ``other`` part if there is one (not -1).
+
+    A lattice tells a plate that is hardly thicker than its step only roughly: in terraces, and a seam in teeth.  No
+    vertex goes farther than ``most`` (diagonals).
+    """
+    moved, seam = vertices.copy(), other >= 0
+    for turn in range(SNAPS):
+        # On their own part last: where two run along each other, there is no seam to be found.
+        for which, rows in ((other, seam), (part, seam | (turn < 2))):
+            for l, mean in means.items():
+                own = np.flatnonzero(rows & (which == l))
+                moved[own] = mean.nearest(moved[own])
+    way = moved - vertices
+    length = np.linalg.norm(way, axis=1, keepdims=True)
+    return vertices + way * np.minimum(1, most / np.maximum(length, 1e-12))
+
+
+def _solid(part: BentPart) -> SearchedMesh:
     """The bent part as closed surfaces in one mesh."""
     vertices, triangles, count = [], [], 0
     for solid in closed_solids(part.vertices, part.source.triangles):
         vertices.append(solid.vertices)
         triangles.append(solid.triangles + count)
         count += len(solid.vertices)
-    return np.concatenate(vertices), np.concatenate(triangles)
+    return as_mesh(np.concatenate(vertices), np.concatenate(triangles))
 
 
 def _colours(

@@ -130,6 +130,9 @@ def test_what_would_fold_is_bent_stiffer(tables, sources, monkeypatch) -> None:
     far = np.abs(at[:, 0]) > 0.2
     np.testing.assert_allclose(eased.vertices[far], plain.vertices[far], atol=0.01)
     assert unfolded(part) is part
+    ways = bending._eased(plain), bending._flattened(plain, plain.vertices)
+    least = min(np.abs(vertices - plain.vertices).max() for vertices in ways)
+    assert np.abs(eased.vertices - plain.vertices).max() <= least + 1e-12
     with monkeypatch.context() as patch:
         patch.setattr(bending, "UNFOLDINGS", 2)  # what easing cannot undo is moved as one
         flattened = unfolded(plain)
@@ -245,9 +248,38 @@ def test_parts_that_stay_apart_are_taken_from_elsewhere_and_the_best_is_kept(tab
     monkeypatch.setattr(assemble, "WIDE", -1.0)  # as if nothing was ever near enough
     made = synthesize(draw, BOTH, sources)
     assert plain.sources == (tables[0].shape.name, tables[4].shape.name)
-    assert [(joined, len(barred)) for joined, barred in asked[1:]] == [([], 0), ([(0, 1)], 0), ([(0, 1)], 1)]
-    assert len({tuple(part.source.shape for part in one.bent.values()) for one in costs[1:]}) == 3
+    assert [(joined, len(barred)) for joined, barred in asked[1:4]] == [([], 0), ([(0, 1)], 0), ([(0, 1)], 1)]
+    assert len(asked) == len(costs) == 2 + assemble.RETRIES
+    assert len({tuple(part.source.shape for part in one.bent.values()) for one in costs[1:]}) >= 3
     assert made.measures == assemble._merge(min(costs[1:], key=lambda one: one.cost), sources).measures
+
+
+def test_a_gap_that_a_part_less_like_the_draw_would_close_is_not_left(tables, sources, monkeypatch) -> None:
+    first, gap = tables[0].shape.name, [0.0]
+    monkeypatch.setattr(assemble, "_misses", lambda part: np.array([0.01 if part.source.shape == first else 0.02]))
+    monkeypatch.setattr(
+        assemble, "contact_gaps", lambda bent, _: {(0, 1): (gap[0] * (bent[0].source.shape == first),) * 2}
+    )
+
+    def cost(t: int) -> float:
+        return assemble.put_together(tables[0].points, BOTH, sources, np.array([t, t]), False).cost
+
+    assert cost(0) < cost(1)  # the table itself is most like it ...
+    gap[0] = 0.012
+    assert cost(0) > cost(1)  # ... but not if it gapes
+
+
+def test_gaps_are_told_of_the_parts_as_they_come_out(tables, sources, monkeypatch) -> None:
+    at = sources.part_of(0, 0).vertices
+    strip = np.flatnonzero((np.abs(at[:, [0, 2]]) < 0.07).all(axis=1) & (at[:, 1] > at[:, 1].max() - 1e-6))
+    crossed = {int(v): at[v] * [-1, 1, 1] for v in strip}  # left and right want to change places
+    monkeypatch.setattr(bending, "STIFFER", (1.0,))
+    monkeypatch.setattr(assemble, "hold_contacts", lambda *_: {0: crossed, 1: {}})
+    parts = assemble.put_together(tables[0].points, BOTH, sources, np.array([0, 0]), False)
+    assert sum(part.folds for part in parts.bent.values()) == 0
+    assert any(part.eased is not None for part in parts.bent.values())
+    assert parts.gaps == contacts.contact_gaps(parts.bent, list(parts.gaps))
+    assert parts.depths == contact_depths(parts.bent, list(parts.gaps))
 
 
 def test_triangles_without_a_side_do_not_fold() -> None:

@@ -49,6 +49,28 @@ def test_a_part_far_from_symmetric_stays_as_drawn(tables, table_part, sources) -
     assert np.array_equal(made[table_part == 1], drawn[table_part == 1])
 
 
+def test_legs_drawn_on_one_side_stand_on_both(tables, table_part, sources) -> None:
+    mirror, points = sources.mirror, tables[1].points
+    along = points @ mirror.normal - mirror.place(points, table_part)
+    legs = table_part == 1
+    for sign in (-1, 1):
+        drawn = np.where((legs & (sign * along > 0))[:, None], points - 2 * along[:, None] * mirror.normal, points)
+        assert np.abs(mirror.made_symmetric(drawn, table_part) - points).max() < 2e-3
+        moved = (drawn @ mirror.normal - mirror.place(points, table_part)) * sign
+        assert moved[legs].max() < 0 < (mirror.made_symmetric(drawn, table_part) @ mirror.normal * sign)[legs].max()
+    both = np.where(legs[:, None], points - 2 * along[:, None] * mirror.normal, points)
+    assert np.array_equal(mirror.on_both_sides(both, table_part), both)  # swapped, they are on both
+
+
+def test_of_a_family_that_has_a_part_on_either_side_nothing_is_put_on_the_other(tables, table_part) -> None:
+    legs = table_part == 1
+    left = tables[0].points[legs, 0] < 0
+    shapes = np.stack([table.points for table in tables[:4]])
+    shapes[:2, np.flatnonzero(legs)[left]] *= [-1, 1, 1]  # two of four tables have all their legs on the right
+    mirror = find_mirror(shapes, np.ones((4, 2), bool), table_part)
+    assert np.array_equal(mirror.on_both_sides(shapes[0], table_part), shapes[0])
+
+
 def test_absent_parts_stay_absent_and_families_without_shapes_have_no_pairs(tables, table_part, sources) -> None:
     points = np.where((table_part == 1)[:, None], np.nan, tables[0].points)
     made = sources.mirror.made_symmetric(points, table_part)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from shapeforge.collection.shape import Mesh
 from shapeforge.synthesis.capping import cap
 from shapeforge.synthesis.cleaning import areas, clean_labels
 from shapeforge.synthesis.cutting import smooth_borders
@@ -15,6 +16,7 @@ from shapeforge.synthesis.parts import cut_mesh, cut_part
 from shapeforge.synthesis.retrieve import retrieve
 from shapeforge.synthesis.sources import make_sources
 from shapeforge.synthesis.surfaces import as_mesh, refine, sides_of, weld
+from tests.synthesis.conftest import PART_NAMES
 
 BOTH = np.array([True, True])
 
@@ -191,3 +193,26 @@ def test_of_two_equal_parts_the_unblemished_one_is_taken(tables, table_part) -> 
         draw = tables[0].points + [5e-5, 0, 0]
         assert retrieve(draw, BOTH, sources).shape[1] == wanted
         assert sources.part_of(1 - wanted, 1).quality.blemish > sources.part_of(wanted, 1).quality.blemish
+
+
+def test_legs_of_one_side_only_are_not_lent_unless_the_shape_has_no_others(tables, table_part) -> None:
+    left = np.r_[[False], tables[0].points[384:].reshape(4, -1, 3)[:, :, 0].mean(axis=1) < 0].repeat(6)
+    half = np.where(left, 0, tables[0].faces)  # the left legs are called top
+    without = replace(tables[0].shape, name="three", mesh=without_faces(tables[0].shape.mesh, left))
+    shapes = [tables[0].shape, *(table.shape for table in tables[1:4]), without]
+    faces = [half, *(table.faces for table in tables[1:4]), tables[0].faces[~left]]
+    positions = np.stack([table.points for table in [*tables[:4], tables[0]]])
+    positions[4, np.r_[np.zeros(384, bool), left[6:].repeat(64)]] = np.nan
+    names = [shape.name for shape in shapes]
+    sources = make_sources(names, lambda i: shapes[i], faces, positions, table_part, PART_NAMES, painted=names)
+    assert sources.part_of(0, 1).quality.one_sided > 0.9
+    assert any("one side" in problem for problem in sources.part_of(0, 1).quality.problems)
+    assert max(sources.part_of(t, 1).quality.one_sided for t in (1, 2, 3, 4)) < 0.1
+    assert max(sources.part_of(t, 0).quality.one_sided for t in (1, 2, 3, 4)) < 0.1
+    assert retrieve(tables[0].points, BOTH, sources).shape[1] != 0
+
+
+def without_faces(mesh: Mesh, out: np.ndarray) -> Mesh:
+    kept = ~out[mesh.face_of_triangle]
+    number = np.cumsum(~out) - 1
+    return Mesh(mesh.vertices, mesh.triangles[kept], number[mesh.face_of_triangle[kept]], int((~out).sum()))

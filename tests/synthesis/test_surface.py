@@ -12,7 +12,7 @@ from shapeforge.synthesis.distance_field import signed_distance, winding_number
 from shapeforge.synthesis.isosurface import isosurface
 from shapeforge.synthesis.sources import Sources, make_sources
 from shapeforge.synthesis.surface import synthesize_surface
-from shapeforge.synthesis.surfaces import as_mesh
+from shapeforge.synthesis.surfaces import as_mesh, vertex_components
 from tests.synthesis.conftest import PART_NAMES, Table, make_table
 
 BOTH = np.array([True, True])
@@ -124,6 +124,40 @@ def test_a_part_is_the_mean_of_those_that_are_like_it(tables, sources, cell) -> 
     # Bent to one place, boxes are alike: the mean is as thin as they are.
     top = made.vertices[np.unique(made.triangles[made.part == 0])]
     assert np.ptp(top[:, 1]) == pytest.approx(np.ptp(halfway[sources.part == 0, 1]), abs=cell)
+
+
+def turned(table: Table, degrees: float) -> Table:
+    c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    mesh = table.shape.mesh
+    return Table(replace(table.shape, mesh=replace(mesh, vertices=mesh.vertices @ turn)), table.faces,
+                 table.points @ turn)  # fmt: skip
+
+
+def test_a_slanted_plate_hardly_thicker_than_a_step_has_no_terraces(tables, table_part_of) -> None:
+    slanted = [turned(table, 20) for table in tables]
+    own = make_sources(
+        [t.shape.name for t in tables], lambda i: slanted[i].shape, [t.faces for t in tables],
+        np.stack([t.points for t in slanted]), table_part_of, PART_NAMES,
+    )  # fmt: skip
+    made = synthesize_surface(slanted[0].points, BOTH, own, cell=0.02)  # the top is .029 thick
+    assert made.measures["open_edges"] == 0
+    at, triangles = made.vertices, made.triangles[made.part == 0]
+    normal = np.cross(at[triangles[:, 1]] - at[triangles[:, 0]], at[triangles[:, 2]] - at[triangles[:, 0]])
+    area = np.linalg.norm(normal, axis=1)
+    up = np.array([np.sin(np.deg2rad(20)), np.cos(np.deg2rad(20)), 0])
+    facing = np.abs(normal @ up) / np.maximum(area, 1e-300)
+    flat = facing > 0.8  # the two sides of the plate, not its rim
+    assert area[flat].sum() > 0.7 * area.sum()
+    assert np.average(facing[flat], weights=area[flat]) > 0.995
+
+
+def test_legs_of_all_lenders_reach_the_top_though_the_draw_has_them_too_short(tables, sources, cell) -> None:
+    short = (tables[0].points + tables[1].points) / 2
+    short[sources.part == 0] += [0, 0.04, 0]
+    made = synthesize_surface(short, BOTH, sources, cell=cell)
+    assert len(made.measures["lenders"]["legs"]) > 1
+    assert vertex_components(len(made.vertices), made.triangles).max() == 0  # one piece
 
 
 def test_colours_are_those_of_the_nearest_lender(tables, table_part_of, cell) -> None:
