@@ -99,7 +99,7 @@ def walk_within(start, neighbour, middle, centre, face, position, radius):  # pr
 
 @njit(cache=True, nogil=True)
 def spread(start, neighbour, length, sources, ahead, limit):  # pragma: no cover - compiled
-    """Shortest way (F,) to every face from the nearest of ``sources``, which begin with ``ahead``; at most ``limit``."""
+    """Shortest way (F,) to every face from ``sources``, which begin with ``ahead``; at most ``limit``."""
     far = np.full(len(start) - 1, limit)
     keys = np.empty(256, np.float64)
     nodes = np.empty(256, np.int64)

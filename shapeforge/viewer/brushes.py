@@ -128,7 +128,7 @@ def patch_of_faces(
 
 
 def mirror_plane(points: Float[np.ndarray, "P 3"]) -> tuple[Float[np.ndarray, " 3"], float, float] | None:
-    """Normal, offset and error (diagonals, beyond the sampling's) of a shape's mirror plane; None without a good one."""
+    """Normal, offset and error (diagonals, beyond the sampling's) of the mirror plane; None without a good one."""
     normal, offset, error = symmetry_plane(points)
     # Between samples even a perfect mirror misses by their spacing; what is left is the shape's own.
     spacing = float(cKDTree(points).query(points, k=2)[0][:, 1].mean()) if len(points) > 1 else 0.0
