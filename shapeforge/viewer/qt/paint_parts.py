@@ -88,7 +88,7 @@ class PartRow(Clickable):
         self.name = EditableName(name)
         self.editor = self.name.editor
         self.share = label("0%", "text2")
-        self.eye = button(icon="eye", kind="icon", tooltip="Show or hide this part")
+        self.eye = button(icon="eye", kind="icon", tooltip="Show or hide this part  (Shift+H: the current one)")
         self.eye.setStyleSheet("min-width: 20px; max-width: 20px; min-height: 18px; max-height: 18px;")
         self.eye.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.bar = ShareBar(3)

@@ -102,12 +102,17 @@ def label(text: str = "", role: str = "", *, wrap: bool = False, tooltip: str = 
 
 
 class ElidedLabel(QLabel):
-    """A label that shortens its text with an ellipsis, and shows all of it as its tooltip, when space is short."""
+    """A label that shortens its text with an ellipsis, and shows all of it as its tooltip, when space is short.
 
-    def __init__(self, text: str = "", role: str = "", mode: Qt.TextElideMode = Qt.TextElideMode.ElideRight) -> None:
+    ``about`` is the tooltip besides.
+    """
+
+    def __init__(
+        self, text: str = "", role: str = "", mode: Qt.TextElideMode = Qt.TextElideMode.ElideRight, *, about: str = ""
+    ) -> None:
         super().__init__()
         self._full = ""
-        self._mode = mode
+        self._mode, self._about = mode, about
         if role:
             self.setProperty("role", role)
         self.setText(text)
@@ -136,7 +141,7 @@ class ElidedLabel(QLabel):
         self.ensurePolished()
         shown = QFontMetrics(self.font()).elidedText(self._full, self._mode, max(self.width(), 8))
         super().setText(shown)
-        self.setToolTip(self._full if shown != self._full else "")
+        self.setToolTip("\n".join(line for line in (self._full if shown != self._full else "", self._about) if line))
 
 
 def button(
