@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QAbstractButton, QAbstractSlider, QComboBox, QLine
 
 from shapeforge.collection.labels import PartNames
 from shapeforge.viewer.qt.controls import Clickable, EditableName
-from shapeforge.viewer.qt.widgets import ElidedLabel
+from shapeforge.viewer.qt.widgets import ElidedLabel, button, column, framed, row, scrolled
 
 LEFT = Qt.MouseButton.LeftButton
 PLACES = ("collection", "paint", "fit", "correspondence")
@@ -72,9 +72,13 @@ def test_long_names_are_shortened_and_push_nothing_out(open_window, fitted, qtbo
             if one.isVisible():
                 right = one.mapTo(inspector, one.rect().topRight()).x()
                 assert right <= width, f"{place}: {called(one)} ends at {right} of {width}"
-        labels = [one for one in inspector.findChildren(ElidedLabel) if one.isVisible()]
-        shown = [one for one in labels if LONG in one.full_text().lower()]
-        assert shown and all("…" in one.text() and LONG in one.toolTip().lower() for one in shown), place
+
+        def named(inspector: QWidget = inspector) -> list[ElidedLabel]:
+            labels = [one for one in inspector.findChildren(ElidedLabel) if one.isVisible()]
+            return [one for one in labels if LONG in one.full_text().lower()]
+
+        qtbot.waitUntil(lambda: len(named()) > 0, timeout=5000)
+        assert all("…" in one.text() and LONG in one.toolTip().lower() for one in named()), place
 
 
 def test_a_long_name_is_edited_whole(qtbot):
@@ -88,3 +92,15 @@ def test_a_long_name_is_edited_whole(qtbot):
     assert name.editor.text() == LONG
     qtbot.keyClick(name.editor, Qt.Key.Key_Return)
     assert heard == [] and name.text() == LONG, "nothing was changed"
+
+
+def test_what_is_too_wide_in_an_inspector_pushes_nothing_else_out(qtbot):
+    wide, last = button(LONG), button("Turn…")
+    area = scrolled(framed(column(wide, row(button("Move to…"), None, last))))
+    qtbot.addWidget(area)
+    area.resize(312, 400)
+    area.show()
+    qtbot.waitExposed(area)
+    assert last.mapTo(area, last.rect().topRight()).x() < 312
+    area.resize(360, 400)
+    assert 330 < last.mapTo(area, last.rect().topRight()).x() < 360, "and it grows with the window"

@@ -272,7 +272,7 @@ class CollectionPlace:
         if self.choosing:
             text, about = "Keep the present one", "Leave the exemplar as it is  (Esc)"
         elif can:
-            text = f"Make {shortened(self.session.shape, 18)} the exemplar"
+            text = f"Make {shortened(self.session.shape, 12)} the exemplar"
             about = f"{self.session.shape} is painted for its group, and its template is made of it"
         else:
             text, about = "Choose another exemplar…", "The next click on the map chooses what stands for the group"

@@ -177,16 +177,17 @@ class CorrespondencePlace:
             names.sort()
         elif self.session.project.groups is not None:
             groups = self.session.project.groups
-            index = {name: i for i, name in enumerate(groups.names)} if len(groups.names) == len(groups.group) else {}
-            names.sort(key=lambda name: (int(groups.group[index[name]]) if name in index else 0, name))
+            group = dict(zip(self.session.project.names, groups.group.tolist(), strict=False))
+            names.sort(key=lambda name: (group.get(name, len(groups)), name))
         self.order = tuple(names)
         self.page = min(self.page, self._pages() - 1)
         first = self.page * self.count
         self.names = self.order[first : first + self.count]
         many, number = len(names), len(self.names)
         where = f"{first + 1}–{first + number}" if many > self.count else f"{number}"
-        options = tuple((n, f"{min(int(n), many)} at once") for n in COUNTS)
-        self.showing.set_options(options, f"{where} of {many}")
+        some = [(n, f"{n} at once") for n in COUNTS if int(n) < many]
+        enough = [(n, f"all {many}") for n in COUNTS if int(n) >= many]
+        self.showing.set_options([*some, *enough[:1]], f"{where} of {many}")
 
     def _pages(self) -> int:
         return max(-(-len(self.order) // self.count), 1)

@@ -139,6 +139,9 @@ class ToolButton(QAbstractButton):
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setAttribute(Qt.WidgetAttribute.WA_Hover)
 
+    def nextCheckState(self) -> None:
+        """A click asks only; what is in hand is shown by the Session: a click on that must not put it away."""
+
     def paintEvent(self, event: QEvent) -> None:
         tokens = colours(self)
         painter = QPainter(self)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QWidget
 
+from shapeforge.stages import Progress
 from shapeforge.viewer.qt.icons import set_icon
 from shapeforge.viewer.qt.widgets import ElidedLabel, column, icon_label, label, row
 from shapeforge.viewer.session import Session
@@ -45,7 +46,7 @@ class ReadingNote(QWidget):
         if not session.running:
             self.read = []
         if reading and progress.phase == "read" and progress.message:
-            said = progress.message, "check" if progress.problem is None else progress.problem.kind
+            said = _said(progress)
             if said not in self.read[:1]:
                 self.read = [said, *self.read][:LINES]
         self.files.setVisible(session.running)
@@ -67,3 +68,13 @@ class ReadingNote(QWidget):
                 set_icon(sign, kind, "ok" if kind == "check" else kind, 14)
             name.setText(text)
         self.setVisible(True)
+
+
+def _said(progress: Progress) -> tuple[str, str]:
+    """The line of a file that was read, with what is wrong with it, and its sign."""
+    problem = progress.problem
+    if problem is None:
+        return progress.message, "check"
+    # A file that could not be read is named in its reason; of the others the message says what they hold.
+    text = progress.message if problem.kind == "error" else f"{progress.message} · {problem.reason}"
+    return text, problem.kind

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
-from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPainterPath, QPaintEvent, QPen, QPixmap
+from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPainterPath, QPaintEvent, QPen, QPixmap, QResizeEvent
 from PySide6.QtWidgets import (
     QBoxLayout,
     QFrame,
@@ -199,11 +199,20 @@ def section(*items: QWidget | QBoxLayout | int | None, spacing: int = 8, line: b
     return result
 
 
+class _Upright(QScrollArea):
+    """Scrolls up and down only: what is too wide for it is cut at its own end and pushes nothing else out."""
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        if self.widget() is not None:
+            self.widget().setMaximumWidth(self.viewport().width())
+        super().resizeEvent(event)
+
+
 def scrolled(*items: QWidget) -> QScrollArea:
     """Sections one below the other; they scroll when the window is low."""
     inside = QWidget()
     inside.setLayout(column(*items, None, spacing=0))
-    area = QScrollArea()
+    area = _Upright()
     area.setObjectName("panel")
     area.setWidget(inside)
     area.setWidgetResizable(True)
