@@ -179,7 +179,7 @@ class SelectionSection(QWidget):
     def __init__(self, session: Session, actions: Actions, binding: Binding) -> None:
         super().__init__()
         self._session = session
-        self.what = ElidedLabel("", "text2")
+        self.what = ElidedLabel("", "text2", Qt.TextElideMode.ElideMiddle)
         self.move = action_button(actions, "move_shapes", binding)
         self.new = action_button(actions, "make_group", binding)
         self.out = action_button(actions, "leave_out", binding)
@@ -190,8 +190,8 @@ class SelectionSection(QWidget):
             line.setStretch(0, 1)
             line.setStretch(1, 1)
             rows.append(line)
-        head = row(label("Selected", "heading"), None, self.what)
-        head.setStretch(2, 1)
+        head = row(label("Selected", "heading"), self.what)
+        head.setStretch(1, 1)
         self.setLayout(column(section(head, *rows), spacing=0))
 
     def show_selection(self) -> None:
