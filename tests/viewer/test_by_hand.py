@@ -120,8 +120,10 @@ def test_the_distances_of_a_second_click_are_plotted(lightbox, qtbot):
 def test_before_a_point_is_picked_the_parts_are_shown(lightbox, qtbot):
     layer = lightbox.view.shown.views[0].layers[0]
     assert len(np.unique(layer.colours.reshape(-1, 3), axis=0)) > 1
+    assert lightbox.inspector.legend_text.text().startswith("Until a point is picked")
     click(qtbot, lightbox, spot(lightbox, 0, seen_points(lightbox, 0)[0]))
     after = lightbox.view.shown.views[0].layers[0]
+    assert not lightbox.inspector.legend_text.isVisible()
     assert len(after.colours) != len(layer.colours) or not np.array_equal(after.colours, layer.colours)
 
 

@@ -15,6 +15,7 @@ from shapeforge.viewer.fine_mesh import fine_mesh
 from shapeforge.viewer.fuzzy import MOST_BITS, fuzzy_correspondence, part_bits, where_it_may_lie
 from shapeforge.viewer.lightbox import CLOSE, FARTHEST, Lightbox, confidence_of, describe_point
 from shapeforge.viewer.palette import heat, part_colours
+from shapeforge.viewer.qt.overlay import whole_percent
 from shapeforge.viewer.session import Session
 from tests.viewer.turned import turn_shape
 
@@ -477,3 +478,8 @@ def test_a_large_family_is_read_little_by_little(fitted, open_window, qtbot, mon
     for _ in place.names:
         place._work_ahead()
     assert all(place.box.is_ready(name) for name in place.names), "the first click finds all computed"
+
+
+@pytest.mark.parametrize(("value", "words"), [(0.497, "49%"), (0.5, "50%"), (1.0, "100%"), (0.0, "0%")])
+def test_what_counts_as_below_half_is_not_rounded_up_to_it(value, words):
+    assert whole_percent(value) == words

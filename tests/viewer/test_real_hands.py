@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -11,7 +13,10 @@ from PySide6.QtGui import QDragEnterEvent, QDropEvent
 from PySide6.QtWidgets import QApplication, QMenu, QPushButton, QWidget
 
 from shapeforge.collection.colours import PARTS
+from shapeforge.store import Project
+from shapeforge.viewer import spreading
 from shapeforge.viewer.palette import SWITCHED_OFF, rgb
+from tests.viewer.paint_hands import move
 from tests.viewer.test_by_hand import pixels, settled
 from tests.viewer.test_collection_place import drag, spot
 from tests.viewer.test_correspondence_place import click, lightbox, seen_points
@@ -284,3 +289,35 @@ def test_two_shapes_are_overlaid_by_the_button(lightbox, qtbot):
     place.session.selected = place.names[:2]
     qtbot.mouseClick(place.inspector.overlay, LEFT)
     assert len(place.view.shown.views) == 1 and changed(apart, settled(place.view, qtbot)) > 0.01
+
+
+# -- closing ---------------------------------------------------------------------------------------------------------
+
+
+def test_closing_in_the_middle_of_a_stroke_keeps_what_was_painted(painting, qtbot):
+    name, path = painting.session.shape, painting.session.project.path
+    seen = painting.visible()
+    a, b = painting.at(int(seen[0])), painting.at(int(seen[-1]))
+    qtbot.mousePress(painting.target, LEFT, Qt.KeyboardModifier.NoModifier, a)
+    move(painting.target, b, LEFT, Qt.KeyboardModifier.NoModifier)
+    painted = painting.labels.copy()
+    assert (painted >= 0).any()
+    painting.window.close()
+    assert np.array_equal(Project.open(path).labels(name), painted)
+
+
+def test_closing_while_a_painting_is_filled_in_leaves_no_thread(painting, qtbot, monkeypatch):
+    monkeypatch.setattr("shapeforge.viewer.completing.AT_ONCE", 0)
+    complete = spreading.complete
+    monkeypatch.setattr(spreading, "complete", lambda *given: (time.sleep(0.5), complete(*given))[1])
+    name, path = painting.session.shape, painting.session.project.path
+    painting.key(Qt.Key.Key_S)
+    seen = painting.visible()
+    for part, face in enumerate(seen[[0, -1]]):
+        painting.key(Qt.Key(Qt.Key.Key_1 + part))
+        painting.click(int(face))
+    strokes = painting.labels.copy()
+    assert painting.place.completion.busy
+    painting.window.close()
+    assert not any(thread.name == "completing" for thread in threading.enumerate())
+    assert np.array_equal(Project.open(path).labels(name), strokes)

@@ -234,7 +234,8 @@ class CorrespondencePlace:
         for one in (self.colour, self.sorting, self.showing, self.before, self.after):
             one.setVisible(not self.overlaid)
         self.inspector.show_points(self.box, self.second)
-        self.inspector.show_legend("distance" if self.overlaid else self._shown_by())
+        shown_by = "distance" if self.overlaid else self._shown_by()
+        self.inspector.show_legend(shown_by, waiting=shown_by == "part" and self.colour_by == "spread")
         self.inspector.overlay.setText("Back to all shapes" if self.overlaid else "Overlay two shapes")
         self.strip.show_marks()
         self.session.edit_count += 1  # what can be done depends on what is picked

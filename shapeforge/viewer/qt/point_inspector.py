@@ -112,9 +112,14 @@ class PointInspector(QFrame):
             one.setStretch(2, 1)
         return rows
 
-    def show_legend(self, colour_by: str) -> None:
-        """Say what the colours mean: COLOURS of the place, or "distance" of two overlaid shapes."""
+    def show_legend(self, colour_by: str, waiting: bool = False) -> None:
+        """Say what the colours mean: COLOURS of the place, or "distance" of two overlaid shapes.
+
+        ``waiting``: it is what is shown as long as no point is picked.
+        """
         title, ends, text = LEGENDS[colour_by]
+        if waiting:
+            text = "Until a point is picked: the parts. Then: where on each shape it may lie."
         self.legend_title.setText(title)
         for one, words in zip(self.legend, ends, strict=True):
             one.setText(words)
@@ -147,7 +152,8 @@ class PointInspector(QFrame):
         self.low_icon.setVisible(bool(low))
         self.low_title.setText(f"{len(low)} shape{'s' * (len(low) != 1)} below 50%" if low else "No shape below 50%")
         doubt = "Left and right may be mixed up, or the part differs. Paint a correction and fit again."
-        meaning = f"The chance that the point lies within 5% of where it is shown, on {of} shapes."
+        which = "the point" if picked is not None else "a point, in the mean over all,"
+        meaning = f"The chance that {which} lies within 5% of where it is shown, on {of} shapes."
         self.low_text.setText(doubt if low else meaning)
         chosen = len(self.session.selected)
         self.overlay_why.setText(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QWidget
 
@@ -23,7 +25,10 @@ class ReadingNote(QWidget):
         self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.title, self.words = label("", "title"), label("", "text2")
         self.read: list[tuple[str, str]] = []
-        self.lines = [(icon_label("check", "ok", 14), ElidedLabel("", "text2")) for _ in range(LINES)]
+        self.lines = [
+            (icon_label("check", "ok", 14), ElidedLabel("", "text2", Qt.TextElideMode.ElideMiddle))
+            for _ in range(LINES)
+        ]
         self.files = QWidget()
         self.files.setFixedHeight(LINES * 24)
         listed = [row(sign, name, spacing=8) for sign, name in self.lines]
@@ -75,6 +80,6 @@ def _said(progress: Progress) -> tuple[str, str]:
     problem = progress.problem
     if problem is None:
         return progress.message, "check"
-    # A file that could not be read is named in its reason; of the others the message says what they hold.
-    text = progress.message if problem.kind == "error" else f"{progress.message} · {problem.reason}"
-    return text, problem.kind
+    # Of a file that could not be read the message is its whole path: there would be no room for the reason.
+    read = f"{Path(problem.file).name}: " if problem.kind == "error" else f"{progress.message} · "
+    return read + problem.reason, problem.kind
