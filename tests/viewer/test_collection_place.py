@@ -155,13 +155,6 @@ def drag(widget, points: list[QPoint], modifier=Qt.KeyboardModifier.NoModifier) 
     QTest.mouseRelease(widget, LEFT, modifier, points[-1])
 
 
-def test_a_lasso_round_everything_selects_everything(window, place):
-    w, h = place.map.width(), place.map.height()
-    corners = [QPoint(2, 2), QPoint(w - 2, 2), QPoint(w - 2, h - 2), QPoint(2, h - 2), QPoint(2, 2)]
-    drag(place.map, corners, SHIFT)
-    assert set(window.session.selected) == set(place.session.project.names)
-
-
 def test_dragging_pans_and_the_wheel_zooms_at_the_pointer(place, qtbot):
     name = place.session.project.names[0]
     before = QPointF(spot(place, name))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import threading
 import time
 
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from PySide6.QtGui import QDragEnterEvent, QDropEvent
-from PySide6.QtWidgets import QApplication, QMenu, QPushButton, QWidget
+from PySide6.QtWidgets import QApplication, QMenu, QWidget
 
 from shapeforge.collection.colours import PARTS
 from shapeforge.store import Project
@@ -35,12 +34,6 @@ def choose(qtbot, choice: QWidget, text: str) -> None:
     menu = next(one for one in choice.findChildren(QMenu) if one.isVisible())
     line = next(one for one in menu.actions() if one.text() == text)
     qtbot.mouseClick(menu, LEFT, pos=menu.actionGeometry(line).center())
-
-
-def button_of(place, widget: QWidget, action: str) -> QPushButton:
-    """The button of an action within a widget."""
-    wanted = place.actions[action].label
-    return next(one for one in widget.findChildren(QPushButton) if one.accessibleName() == wanted)
 
 
 def changed(before: np.ndarray, after: np.ndarray) -> float:
@@ -99,11 +92,17 @@ def test_models_dropped_on_an_open_project_are_taken_and_other_files_are_not(ope
 # -- Paint -----------------------------------------------------------------------------------------------------------
 
 
-def test_every_tool_is_taken_by_a_click_on_it(painting, qtbot):
+def test_every_tool_is_taken_by_a_click_on_it_and_the_slider_sizes_the_brush(painting, qtbot):
     for tool, one in painting.place.tools.buttons.items():
         qtbot.mouseClick(one, LEFT)
         assert painting.session.tool == tool and one.isChecked()
         assert sum(other.isChecked() for other in painting.place.tools.buttons.values()) == 1
+    slider, before = painting.place.brush.size, painting.session.brush_size
+    middle = slider.height() // 2
+    handle = QPoint(round(slider.width() * slider.value() / slider.maximum()), middle)
+    drag(slider, [handle, QPoint(slider.width() - 20, middle), QPoint(slider.width() - 4, middle)])
+    assert painting.session.brush_size > 2 * before
+    assert painting.place.brush.size_value.text() == f"{100 * painting.session.brush_size:.1f}%"
 
 
 def test_a_part_is_taken_by_a_click_on_it_painted_erased_and_seen(painting, qtbot):
@@ -147,37 +146,6 @@ def test_the_mirror_is_switched_on_by_click_and_key_and_paints_both_sides(painti
     seen = painting.visible()
     painting.click(int(seen[np.abs(side[seen]).argmax()]))
     assert {-1.0, 1.0} <= set(np.sign(side[painting.labels == 0]).tolist())
-
-
-def test_the_size_slider_sizes_the_brush(painting, qtbot):
-    slider, before = painting.place.brush.size, painting.session.brush_size
-    middle = slider.height() // 2
-    handle = QPoint(round(slider.width() * slider.value() / slider.maximum()), middle)
-    drag(slider, [handle, QPoint(slider.width() - 20, middle), QPoint(slider.width() - 4, middle)])
-    assert painting.session.brush_size > 2 * before
-    assert painting.place.brush.size_value.text() == f"{100 * painting.session.brush_size:.1f}%"
-
-
-def test_the_eyedropper_by_key(painting):
-    face = int(painting.visible()[0])
-    painting.key(Qt.Key.Key_3)
-    painting.key(Qt.Key.Key_P)
-    painting.click(face)
-    painting.key(Qt.Key.Key_1)
-    painting.key(Qt.Key.Key_I)
-    painting.click(face)
-    assert painting.session.part == 2 and painting.session.tool == "brush"
-
-
-def test_scribbles_are_filled_in_on_the_screen(painting, qtbot):
-    painting.key(Qt.Key.Key_S)
-    seen = painting.visible()
-    seen = seen[np.argsort(painting.painter.surface.centres[seen, 1])]
-    for key, faces in ((Qt.Key.Key_1, seen[-5:]), (Qt.Key.Key_3, seen[:5])):
-        painting.key(key)
-        painting.drag(*(painting.at(int(face)) for face in faces))
-    qtbot.waitUntil(lambda: min(share_of(painting, PARTS[0]), share_of(painting, PARTS[2])) > 300, timeout=10000)
-    assert painting.place.blank.text() == "All painted"
 
 
 def test_next_piece_turns_what_is_behind_to_the_front(painting, qtbot):
@@ -266,29 +234,6 @@ def test_a_picked_point_is_seen_on_every_shape_with_its_heat(lightbox, qtbot):
             assert (np.abs(near).sum(axis=2) > 60).mean() > 0.3, f"no dot on {view.name}"
     warm = place.view.picture().astype(int)
     assert (warm[..., 0] - warm[..., 2] > 60).mean() > 1e-4, "heat"
-
-
-def test_a_landmark_is_kept_and_exported_by_the_buttons(lightbox, qtbot, tmp_path, monkeypatch):
-    place, out = lightbox, tmp_path / "marks.csv"
-    keep = button_of(place, place.inspector, "keep_landmark")
-    export = button_of(place, place.strip, "export_points")
-    monkeypatch.setattr(place.actions.desk, "choose_save", lambda title, name: out)
-    assert not export.isEnabled() and export.toolTip()
-    click(qtbot, place, point_spot(place, 0, seen_points(place, 0)[3]))
-    qtbot.mouseClick(keep, LEFT)
-    assert len(place.strip.marks) == 1
-    qtbot.mouseClick(export, LEFT)
-    with out.open(newline="") as file:
-        assert {row["shape"] for row in csv.DictReader(file)} == set(place.box.present_on(place.session.picked))
-
-
-def test_two_shapes_are_overlaid_by_the_button(lightbox, qtbot):
-    place = lightbox
-    apart = settled(place.view, qtbot)
-    assert not place.inspector.overlay.isEnabled() and "two" in place.inspector.overlay.toolTip()
-    place.session.selected = place.names[:2]
-    qtbot.mouseClick(place.inspector.overlay, LEFT)
-    assert len(place.view.shown.views) == 1 and changed(apart, settled(place.view, qtbot)) > 0.01
 
 
 # -- closing ---------------------------------------------------------------------------------------------------------
