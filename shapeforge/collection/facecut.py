@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_flow
 from scipy.spatial import cKDTree
@@ -71,13 +71,14 @@ def cut_faces(
     scale = _LARGEST_TOTAL / max(float(unary.max(axis=1).sum() + 2 * pairwise.sum()), 1e-300)
     unary, pairwise = np.rint(unary * scale).astype(np.int64), np.rint(pairwise * scale).astype(np.int64)
     asked = np.partition(excess, 1, axis=1)[:, 1] <= sure
-    return _minimize_some(asked, cheapest, unary, graph.pairs, pairwise).astype(np.int32)
+    return minimize_some(asked, cheapest, unary, graph.pairs, pairwise).astype(np.int32)
 
 
-def _minimize_some(
-    asked: np.ndarray, labels: np.ndarray, unary: np.ndarray, pairs: np.ndarray, pairwise: np.ndarray
-) -> np.ndarray:
-    """Labels (F,) of small Potts energy of the faces ``asked`` (F,), the others keeping theirs."""
+def minimize_some(
+    asked: Bool[np.ndarray, " F"], labels: Int[np.ndarray, " F"], unary: Int[np.ndarray, "F L"],
+    pairs: Int[np.ndarray, "E 2"], pairwise: Int[np.ndarray, " E"],
+) -> Int[np.ndarray, " F"]:  # fmt: skip
+    """Labels (F,) of small Potts energy (`minimize_potts`) of the nodes ``asked``, the others keeping theirs."""
     if not asked.any():
         return labels
     faces = np.flatnonzero(asked)
