@@ -7,6 +7,50 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True)
+def _push(keys, nodes, size, key, node):  # pragma: no cover - compiled
+    """Put an entry into a binary heap of ``size`` entries; the arrays, longer ones where they were full."""
+    if size == len(keys):
+        more_keys = np.empty(2 * size, np.float64)
+        more_nodes = np.empty(2 * size, np.int64)
+        more_keys[:size] = keys
+        more_nodes[:size] = nodes
+        keys = more_keys
+        nodes = more_nodes
+    i = size
+    while i > 0:
+        parent = (i - 1) // 2
+        if keys[parent] <= key:
+            break
+        keys[i] = keys[parent]
+        nodes[i] = nodes[parent]
+        i = parent
+    keys[i] = key
+    nodes[i] = node
+    return keys, nodes
+
+
+@njit(cache=True, nogil=True)
+def _drop_first(keys, nodes, size):  # pragma: no cover - compiled
+    """Take the first of ``size`` entries out of a binary heap."""
+    last_key = keys[size - 1]
+    last_node = nodes[size - 1]
+    i = 0
+    while True:
+        child = 2 * i + 1
+        if child >= size - 1:
+            break
+        if child + 1 < size - 1 and keys[child + 1] < keys[child]:
+            child += 1
+        if keys[child] >= last_key:
+            break
+        keys[i] = keys[child]
+        nodes[i] = nodes[child]
+        i = child
+    keys[i] = last_key
+    nodes[i] = last_node
+
+
+@njit(cache=True, nogil=True)
 def walk_within(start, neighbour, middle, centre, face, position, radius):  # pragma: no cover - compiled
     """Faces whose centre is within ``radius`` of ``position`` on ``face``, along centre - edge middle - centre paths.
 
@@ -14,9 +58,8 @@ def walk_within(start, neighbour, middle, centre, face, position, radius):  # pr
     """
     n = len(start) - 1
     settled = np.zeros(n, np.uint8)
-    capacity = 256
-    keys = np.empty(capacity, np.float64)
-    nodes = np.empty(capacity, np.int64)
+    keys = np.empty(256, np.float64)
+    nodes = np.empty(256, np.int64)
     found = np.empty(256, np.int64)
     count = 0
     keys[0] = 0.0
@@ -25,23 +68,8 @@ def walk_within(start, neighbour, middle, centre, face, position, radius):  # pr
     while size > 0:
         distance = keys[0]
         here = nodes[0]
+        _drop_first(keys, nodes, size)
         size -= 1
-        last_key = keys[size]
-        last_node = nodes[size]
-        i = 0
-        while True:  # sift down
-            child = 2 * i + 1
-            if child >= size:
-                break
-            if child + 1 < size and keys[child + 1] < keys[child]:
-                child += 1
-            if keys[child] >= last_key:
-                break
-            keys[i] = keys[child]
-            nodes[i] = nodes[child]
-            i = child
-        keys[i] = last_key
-        nodes[i] = last_node
         if settled[here]:
             continue
         settled[here] = 1
@@ -63,28 +91,39 @@ def walk_within(start, neighbour, middle, centre, face, position, radius):  # pr
                 (centre[there, 0] - x) ** 2 + (centre[there, 1] - y) ** 2 + (centre[there, 2] - z) ** 2
             )
             far = distance + step
-            if far > radius:
-                continue
-            if size == capacity:
-                more_keys = np.empty(2 * capacity, np.float64)
-                more_nodes = np.empty(2 * capacity, np.int64)
-                more_keys[:capacity] = keys
-                more_nodes[:capacity] = nodes
-                keys = more_keys
-                nodes = more_nodes
-                capacity *= 2
-            i = size
-            size += 1
-            while i > 0:  # sift up
-                parent = (i - 1) // 2
-                if keys[parent] <= far:
-                    break
-                keys[i] = keys[parent]
-                nodes[i] = nodes[parent]
-                i = parent
-            keys[i] = far
-            nodes[i] = there
+            if far <= radius:
+                keys, nodes = _push(keys, nodes, size, far, there)
+                size += 1
     return found[:count]
+
+
+@njit(cache=True, nogil=True)
+def spread(start, neighbour, length, sources, ahead, limit):  # pragma: no cover - compiled
+    """Shortest way (F,) to every face from ``sources``, which begin with ``ahead``; at most ``limit``."""
+    far = np.full(len(start) - 1, limit)
+    keys = np.empty(256, np.float64)
+    nodes = np.empty(256, np.int64)
+    size = 0
+    for i in range(len(sources)):
+        if ahead[i] < far[sources[i]]:
+            far[sources[i]] = ahead[i]
+            keys, nodes = _push(keys, nodes, size, ahead[i], sources[i])
+            size += 1
+    while size > 0:
+        distance = keys[0]
+        here = nodes[0]
+        _drop_first(keys, nodes, size)
+        size -= 1
+        if distance > far[here]:
+            continue
+        for e in range(start[here], start[here + 1]):
+            there = neighbour[e]
+            way = distance + length[e]
+            if way < far[there]:
+                far[there] = way
+                keys, nodes = _push(keys, nodes, size, way, there)
+                size += 1
+    return far
 
 
 @njit(cache=True, nogil=True)

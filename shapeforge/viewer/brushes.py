@@ -8,17 +8,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from shapeforge.collection.facecut import cut_faces
 from shapeforge.collection.shape import Mesh
+from shapeforge.collection.symmetry import symmetry_plane
 from shapeforge.viewer._kernels import flood, walk_within
 
 WELD = 1e-5  # diagonals: corners nearer than this are one, so soups with coincident corners hang together
 CREASE = np.radians(28.0)
+SYMMETRIC = 0.03  # diagonals: a worse mean distance to the mirror image means there is no mirror to speak of
 FARTHEST_TWIN = 0.03  # diagonals: a mirrored place farther than this from the surface has no twin
 
 
@@ -126,6 +127,15 @@ def patch_of_faces(
     return np.asarray(patch, np.int64)[cKDTree(points).query(surface.centres)[1]]
 
 
+def mirror_plane(points: Float[np.ndarray, "P 3"]) -> tuple[Float[np.ndarray, " 3"], float, float] | None:
+    """Normal, offset and error (diagonals, beyond the sampling's) of the mirror plane; None without a good one."""
+    normal, offset, error = symmetry_plane(points)
+    # Between samples even a perfect mirror misses by their spacing; what is left is the shape's own.
+    spacing = float(cKDTree(points).query(points, k=2)[0][:, 1].mean()) if len(points) > 1 else 0.0
+    error = max(float(error) - spacing, 0.0)
+    return (np.asarray(normal, float), float(offset), error) if error < SYMMETRIC else None
+
+
 def mirrored_faces(
     surface: FaceSurface, faces: Int[np.ndarray, " n"], normal: Float[np.ndarray, " 3"], offset: float
 ) -> Int[np.ndarray, " m"]:
@@ -133,12 +143,14 @@ def mirrored_faces(
 
     Asked from the far side, so that a coarse half answers a fine one without holes.
     """
-    if not len(faces):
-        return faces
+    return np.flatnonzero(np.isin(opposite_faces(surface, normal, offset), faces)) if len(faces) else faces
+
+
+def opposite_faces(surface: FaceSurface, normal: Float[np.ndarray, " 3"], offset: float) -> Int[np.ndarray, " F"]:
+    """The face (F,) whose centre is nearest to the mirror image of each face's; -1 where none is near."""
     twins = surface.centres - 2 * (surface.centres @ normal - offset)[:, None] * normal
     distance, nearest = surface.tree.query(twins)
-    reach = FARTHEST_TWIN + 0.75 * np.sqrt(surface.areas[nearest])
-    return np.flatnonzero((distance <= reach) & np.isin(nearest, faces))
+    return np.where(distance <= FARTHEST_TWIN + 0.75 * np.sqrt(surface.areas[nearest]), nearest, -1)
 
 
 def whole_piece(surface: FaceSurface, face: int) -> Int[np.ndarray, " n"]:
@@ -188,37 +200,3 @@ def shares(surface: FaceSurface, labels: Int[np.ndarray, " F"], n_parts: int) ->
     painted = labels >= 0
     area = np.bincount(labels[painted], surface.areas[painted], n_parts)[:n_parts]
     return area / max(float(surface.areas.sum()), 1e-300)
-
-
-def complete(
-    mesh: Mesh, surface: FaceSurface, labels: Int[np.ndarray, " F"], n_parts: int,
-    allowed: Bool[np.ndarray, " L"] | None = None,
-) -> Int[np.ndarray, " F"]:  # fmt: skip
-    """Labels (F,) of all faces from a few strokes: the nearest stroke along the surface, then a cut with short borders.
-
-    Distances grow at creases, so a stroke fills its side of a crease first.  Painted faces keep their part; parts
-    without a stroke (or not ``allowed``) are not given.  Raises ValueError when nothing is painted.
-    """
-    used = np.unique(labels[labels >= 0])
-    if allowed is not None:
-        used = used[allowed[used]]
-    if not len(used):
-        raise ValueError("labels must hold at least one painted face, got none: paint a stroke on each part first")
-    row = np.repeat(np.arange(surface.n_faces), np.diff(surface.start))
-    step = np.linalg.norm(surface.centres[row] - surface.middle, axis=1)
-    step = (step + np.linalg.norm(surface.middle - surface.centres[surface.neighbour], axis=1)) * (1 + 6 * surface.bend)
-    graph = csr_matrix((step + 1e-9, surface.neighbour, surface.start), shape=(surface.n_faces, surface.n_faces))
-    cost = np.full((surface.n_faces, len(used)), 30.0)
-    for column, part in enumerate(used):
-        painted = np.flatnonzero(labels == part)
-        far = dijkstra(graph, directed=False, indices=painted, min_only=True)
-        lost = ~np.isfinite(far)  # pieces without a stroke: the nearest stroke in space, at a price
-        if lost.any():
-            far[lost] = 0.3 + 2 * cKDTree(surface.centres[painted]).query(surface.centres[lost])[0]
-        cost[:, column] = np.minimum(far / 0.05, 30.0)
-    painted = np.flatnonzero(np.isin(labels, used))
-    cost[painted] = 60.0
-    cost[painted, np.searchsorted(used, labels[painted])] = 0.0
-    result = used[cut_faces(mesh, cost)].astype(np.int32)
-    result[painted] = labels[painted]
-    return result

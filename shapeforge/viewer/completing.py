@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Int
 
-from shapeforge.viewer import brushes
+from shapeforge.viewer import spreading
 from shapeforge.viewer.painter import Painter
 
 AT_ONCE = 30000  # faces up to which the cut takes no longer than a blink
@@ -75,11 +75,11 @@ class Completion:
         if len(np.unique(seeds[seeds >= 0])) < 2:
             self._wanted = False
             return
-        mesh, surface, count = painter.mesh, painter.surface, len(painter.part_names)
+        mesh, ground = painter.mesh, painter.ground
 
         def work() -> None:
             try:
-                self._ready = (mesh, seeds, brushes.complete(mesh, surface, seeds, count))
+                self._ready = (mesh, seeds, spreading.complete(ground, seeds))
             except (ValueError, MemoryError):
                 self._wanted = False
             self.on_result()

@@ -194,4 +194,4 @@ def moved_text(record: FitRecord, name: str, number: int) -> tuple[str, bool]:
             return "", False
         moved = float(far.mean())
     still = moved > STILL_MOVING
-    return f"{'still moving' if still else 'moved'} {100 * moved:.1f}%", still
+    return f"{'moving' if still else 'moved'} {100 * moved:.1f}%", still

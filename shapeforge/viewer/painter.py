@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from shapeforge.collection.iterate import last
 from shapeforge.collection.labels import UNLABELLED, PartNames
-from shapeforge.viewer import brushes
+from shapeforge.viewer import brushes, spreading
 from shapeforge.viewer.display import Mark, MeshLayer, View, face_colours
 from shapeforge.viewer.first_parts import ProposedEdits, are_proposed
 from shapeforge.viewer.painting import PaintState, paint_state
@@ -23,7 +23,6 @@ from shapeforge.viewer.session import Session
 BRUSH_LIMITS = (0.004, 0.25)
 SUGGESTED = 0.55
 """How much of their colour proposed parts have: to be told from painted ones."""
-SYMMETRIC = 0.03  # diagonals: a worse mean distance to the mirror image means there is no mirror to speak of
 TOOL_NAMES: dict[str, str] = {
     "brush": "Brush",
     "eraser": "Eraser",
@@ -61,6 +60,7 @@ class Painter:
         self._saved: np.ndarray | None = None
         self._saved_done = 0
         self._patches: np.ndarray | None = None
+        self._ground: spreading.Ground | None = None
 
     # ---- the shape -----------------------------------------------------------------------------------------------
 
@@ -82,7 +82,7 @@ class Painter:
         self._remember_saved()
         self._suggested = self._proposed_faces(name) if are_proposed(self.session) else None
         self._plane_known = False
-        self._patches = None
+        self._patches = self._ground = None
         self.hidden = frozenset()
         self.name = name
         self._drawn: tuple[Any, ...] | None = None
@@ -146,16 +146,17 @@ class Painter:
     def mirror_plane(self) -> tuple[Float[np.ndarray, " 3"], float, float] | None:
         """Normal, offset and error (diagonals, beyond the sampling's) of the mirror plane; None without a good one."""
         if not self._plane_known:
-            from shapeforge.collection.symmetry import symmetry_plane
-
-            points = np.asarray(self.shape.points, float)
-            normal, offset, error = symmetry_plane(points)
-            # Between samples even a perfect mirror misses by their spacing; what is left is the shape's own.
-            spacing = float(cKDTree(points).query(points, k=2)[0][:, 1].mean()) if len(points) > 1 else 0.0
-            error = max(float(error) - spacing, 0.0)
-            self._plane = (np.asarray(normal, float), float(offset), error) if error < SYMMETRIC else None
+            self._plane = brushes.mirror_plane(np.asarray(self.shape.points, float))
             self._plane_known = True
         return self._plane
+
+    @property
+    def ground(self) -> spreading.Ground:
+        """What completing needs to know of the shape, found when it is first asked for."""
+        if self._ground is None:
+            plane = self.mirror_plane
+            self._ground = spreading.Ground(self.mesh, self.surface, None if plane is None else plane[:2])
+        return self._ground
 
     @property
     def face_patches(self) -> Int[np.ndarray, " F"]:
@@ -321,7 +322,7 @@ class Painter:
     def complete(self, *, by_hand_only: bool = False) -> bool:
         """Fill in what is unpainted from what is painted (``by_hand_only``: from strokes, redoing earlier fillings)."""
         seeds = self.strokes_only() if by_hand_only else self.state.labels.copy()
-        return self.apply_completion(brushes.complete(self.mesh, self.surface, seeds, len(self.part_names)))
+        return self.apply_completion(spreading.complete(self.ground, seeds))
 
     def apply_completion(self, faces: Int[np.ndarray, " F"]) -> bool:
         """Paint a completed painting (F,) as one item of the history; True when it changed something."""

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from shapeforge.collection.facecut import cut_faces, expand, face_graph, minimize_potts, potts_energy
+from shapeforge.collection.facecut import cut_faces, expand, face_graph, minimize_potts, minimize_some, potts_energy
 from shapeforge.collection.shape import Mesh
 
 
@@ -55,6 +55,21 @@ def test_one_expansion_is_the_best_of_all_moves(seed):
     moves = [np.where(np.array(take), alpha, labels) for take in itertools.product((False, True), repeat=9)]
     best = min(potts_energy(move, *problem) for move in moves)
     assert potts_energy(expand(labels, alpha, *problem), *problem) == best <= potts_energy(labels, *problem)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_some_nodes_are_exact_where_the_others_keep_their_labels(seed):
+    rng = np.random.default_rng(seed)
+    problem = random_problem(rng, 10, 2)
+    labels, asked = rng.integers(0, 2, 10), rng.random(10) < 0.5
+    found = minimize_some(asked, labels, *problem)
+    assert np.array_equal(found[~asked], labels[~asked])
+    best = potts_energy(labels, *problem)
+    for some in itertools.product((0, 1), repeat=int(asked.sum())):
+        trial = labels.copy()
+        trial[asked] = some
+        best = min(best, potts_energy(trial, *problem))
+    assert potts_energy(found, *problem) == best
 
 
 def test_three_labels_reach_the_minimum_nearly_always_and_never_twice_it():
@@ -156,6 +171,20 @@ def test_strong_evidence_survives_smoothing():
     _, cost = noisy_halves(mesh, 30, 0.0)
     cost[95] = [1e9, 1e9, 0]
     assert cut_faces(mesh, cost)[95] == 2
+
+
+def test_sure_faces_are_not_asked_and_the_others_settle_beside_them():
+    """A sheet of two halves: noise among unsure faces goes as without ``sure``, a sure one stays what it is."""
+    mesh, rng = grid(20), np.random.default_rng(1)
+    left = np.arange(400) % 20 < 10
+    cost = np.where(left[:, None], [0.0, 1.0], [1.0, 0.0])
+    noisy = rng.random(400) < 0.1
+    cost[noisy] = cost[noisy, ::-1]
+    odd = 5 * 20 + 4
+    cost[odd] = [4.0, 0.0]
+    asked, kept = cut_faces(mesh, cost, weight=100.0), cut_faces(mesh, cost, weight=100.0, sure=3.0)
+    assert np.array_equal(asked, ~left) and asked[odd] == 0
+    assert kept[odd] == 1 and np.array_equal(np.delete(kept, odd), np.delete(asked, odd))
 
 
 def test_errors_name_the_argument():

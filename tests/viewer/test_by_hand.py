@@ -9,8 +9,10 @@ import textwrap
 import numpy as np
 from PySide6.QtCore import QPoint, Qt
 
+from shapeforge.collection.colours import PARTS
 from shapeforge.viewer.qt import choose_platform
 from tests.viewer.test_correspondence_place import click, lightbox, seen_points, spot
+from tests.viewer.test_part_edits import share_of
 
 __all__ = ["lightbox"]  # a fixture
 
@@ -42,6 +44,8 @@ def test_strokes_of_the_scribble_tool_are_completed_live(painting, qtbot):
     qtbot.waitUntil(lambda: (painting.labels >= 0).all(), timeout=20000)
     assert set(np.unique(painting.labels)) == {0, 2}
     assert painting.labels[seen[-1]] == 0 and painting.labels[seen[0]] == 2
+    assert painting.place.blank.text() == "All painted"
+    qtbot.waitUntil(lambda: min(share_of(painting, PARTS[0]), share_of(painting, PARTS[2])) > 300, timeout=10000)
 
 
 def test_the_eraser_takes_away_what_it_is_dragged_over_and_nothing_else(painting):
@@ -120,8 +124,10 @@ def test_the_distances_of_a_second_click_are_plotted(lightbox, qtbot):
 def test_before_a_point_is_picked_the_parts_are_shown(lightbox, qtbot):
     layer = lightbox.view.shown.views[0].layers[0]
     assert len(np.unique(layer.colours.reshape(-1, 3), axis=0)) > 1
+    assert lightbox.inspector.legend_text.text().startswith("Until a point is picked")
     click(qtbot, lightbox, spot(lightbox, 0, seen_points(lightbox, 0)[0]))
     after = lightbox.view.shown.views[0].layers[0]
+    assert not lightbox.inspector.legend_text.isVisible()
     assert len(after.colours) != len(layer.colours) or not np.array_equal(after.colours, layer.colours)
 
 

@@ -8,13 +8,14 @@ import json
 import numpy as np
 import pytest
 from PySide6.QtCore import QPoint, Qt
-from PySide6.QtWidgets import QFrame, QLabel, QPushButton
+from PySide6.QtWidgets import QFrame, QLabel, QPushButton, QWidget
 
 from shapeforge.store import Project
 from shapeforge.viewer.fine_mesh import fine_mesh
 from shapeforge.viewer.fuzzy import MOST_BITS, fuzzy_correspondence, part_bits, where_it_may_lie
 from shapeforge.viewer.lightbox import CLOSE, FARTHEST, Lightbox, confidence_of, describe_point
 from shapeforge.viewer.palette import heat, part_colours
+from shapeforge.viewer.qt.overlay import whole_percent
 from shapeforge.viewer.session import Session
 from tests.viewer.turned import turn_shape
 
@@ -45,6 +46,12 @@ def spot(place, cell: int, point: int) -> QPoint | None:
 
 def seen_points(place, cell: int) -> list[int]:
     return [k for k in range(0, place.box.n_points, 3) if spot(place, cell, k) is not None]
+
+
+def button_of(place, widget: QWidget, action: str) -> QPushButton:
+    """The button of an action within a widget."""
+    wanted = place.actions[action].label
+    return next(one for one in widget.findChildren(QPushButton) if one.accessibleName() == wanted)
 
 
 def click(qtbot, place, at: QPoint, modifiers=NONE) -> None:
@@ -152,21 +159,24 @@ def test_two_shapes_are_overlaid_and_it_says_why_not(lightbox, qtbot):
     for cell in (0, 1):
         click(qtbot, lightbox, spot(lightbox, cell, seen_points(lightbox, cell)[0]), CONTROL)
     assert set(lightbox.session.selected) == set(lightbox.names[:2]) and lightbox.session.picked is None
-    assert table.run("overlay")
+    qtbot.mouseClick(button_of(lightbox, lightbox.inspector, "overlay"), LEFT)
     shown = lightbox.view.shown
     assert len(shown.views) == 1 and [layer.key for layer in shown.views[0].layers] == ["shape", "other", "moves"]
     assert table.run("overlay") and len(lightbox.view.shown.views) == len(lightbox.names)
 
 
 def test_landmarks_are_kept_with_the_project_and_exported(lightbox, qtbot, tmp_path, open_window, monkeypatch):
-    assert lightbox.actions.verdict("export_points")[0] is False
+    keep = button_of(lightbox, lightbox.inspector, "keep_landmark")
+    export = button_of(lightbox, lightbox.strip, "export_points")
+    assert not export.isEnabled() and export.toolTip()
     click(qtbot, lightbox, spot(lightbox, 0, seen_points(lightbox, 0)[4]))
     picked, project = lightbox.session.picked, lightbox.session.project
-    assert lightbox.actions.run("keep_landmark") and lightbox.actions.run("keep_landmark")
+    qtbot.mouseClick(keep, LEFT)
+    qtbot.mouseClick(keep, LEFT)
     assert [mark["point"] for mark in lightbox.strip.marks] == [picked], "kept once"
     out = tmp_path / "marks.csv"
     monkeypatch.setattr(lightbox.actions.desk, "choose_save", lambda title, name: out)
-    assert lightbox.actions.run("export_points")
+    qtbot.mouseClick(export, LEFT)
     with out.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {row["shape"] for row in rows} == set(lightbox.box.present_on(picked))
@@ -477,3 +487,8 @@ def test_a_large_family_is_read_little_by_little(fitted, open_window, qtbot, mon
     for _ in place.names:
         place._work_ahead()
     assert all(place.box.is_ready(name) for name in place.names), "the first click finds all computed"
+
+
+@pytest.mark.parametrize(("value", "words"), [(0.497, "49%"), (0.5, "50%"), (1.0, "100%"), (0.0, "0%")])
+def test_what_counts_as_below_half_is_not_rounded_up_to_it(value, words):
+    assert whole_percent(value) == words

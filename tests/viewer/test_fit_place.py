@@ -150,7 +150,7 @@ def test_watching_another_shape(open_window, fitted, qtbot):
     qtbot.mouseClick(other, LEFT)
     assert window.session.shape == other.name
     qtbot.waitUntil(lambda: place.heads[0][1].full_text().startswith(other.name))
-    assert other.name in place.report.parts_title.text() and other.name in place.correction.correct.text()
+    assert other.name in place.report.parts_title.full_text() and other.name in place.correction.correct.text()
 
 
 def test_the_grid_shows_all_watched_shapes(open_window, fitted, qtbot):

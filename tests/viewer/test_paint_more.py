@@ -7,6 +7,7 @@ import pytest
 from PySide6.QtCore import QPoint, Qt
 from scipy.spatial import cKDTree
 
+from shapeforge.viewer import spreading
 from shapeforge.viewer.brushes import face_surface, mirrored_faces, patch_of_faces, up_to_patch
 from tests.viewer.paint_hands import Painting
 from tests.viewer.test_painting import sheet
@@ -127,10 +128,7 @@ def test_a_large_painting_is_completed_beside_the_hand(painting, qtbot, monkeypa
     assert set(np.unique(painting.labels).tolist()) == {0, 1, 2} and painting.labels[third] == 1
     assert painting.painter.state.strokes[-1].tool == "complete"
     wanted = painting.painter.strokes_only()
-    from shapeforge.viewer import brushes
-
-    at_once = brushes.complete(painting.painter.mesh, painting.painter.surface, wanted, 3)
-    assert np.array_equal(painting.labels, at_once)
+    assert np.array_equal(painting.labels, spreading.complete(painting.painter.ground, wanted))
     painting.session.undo()
     assert (painting.labels < 0).any()
 

@@ -167,9 +167,12 @@ def test_the_lasso_takes_what_is_seen_inside(painting):
 
 def test_the_eyedropper_takes_the_part_under_it(painting):
     face = int(painting.visible()[0])
-    painting.session.part, painting.session.tool = 2, "piece"
+    for key in (Qt.Key.Key_3, Qt.Key.Key_P):
+        painting.key(key)
     painting.click(face)
-    painting.session.part, painting.session.tool = 0, "eyedropper"
+    for key in (Qt.Key.Key_1, Qt.Key.Key_I):
+        painting.key(key)
+    assert painting.session.part == 0
     painting.click(face)
     assert painting.session.part == 2 and painting.session.tool == "brush"
     painting.session.tool = "eyedropper"
@@ -234,18 +237,6 @@ def test_complete_fills_the_rest_and_says_when_it_cannot(painting):
     assert table.verdict("complete")[0] is False
     table.run("undo")
     assert np.array_equal(painting.labels, before)
-
-
-def test_next_piece_turns_to_what_is_unpainted(painting):
-    hidden = [p for p in painting.place._pieces if not painting.place.hand.sees(p)]
-    for piece in painting.place._pieces:
-        painting.window.actions_table.run("next_piece")
-        note = [mark for mark in painting.view.shown.views[0].marks if mark.kind == "note"]
-        assert len(note) == 1
-        place = painting.view.place_of(note[0].at)
-        assert 0 <= place[0] <= painting.view.width() and 0 <= place[1] <= painting.view.height()
-        assert len(piece)
-    assert isinstance(hidden, list)
 
 
 def test_parts_are_added_renamed_and_merged(painting, qtbot):

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from shapeforge.collection.shape import Mesh
 from shapeforge.viewer.brushes import (
     along,
-    complete,
     face_surface,
     mirrored,
     shares,
@@ -212,19 +211,6 @@ def test_unpainted_regions_largest_first_and_shares_by_area():
     assert pieces[1].tolist() == list(range(30))
     assert np.allclose(shares(surface, labels, 2), [0.1, 0])
     assert unpainted_pieces(surface, np.zeros(100, np.int32)) == []
-
-
-def test_completing_two_strokes_meets_at_the_crease():
-    mesh = sheet(20, lift=1.5)
-    surface = face_surface(mesh)
-    labels = np.full(400, -1, np.int32)
-    labels[3 * 20 + 10], labels[12 * 20 + 10] = 2, 0
-    done = complete(mesh, surface, labels, 3)
-    truth = np.where(surface.centres[:, 0] < 0.5, 2, 0)
-    assert (done == truth).mean() > 0.98
-    assert done[3 * 20 + 10] == 2 and done[12 * 20 + 10] == 0
-    with pytest.raises(ValueError, match="at least one painted face"):
-        complete(mesh, surface, np.full(400, -1, np.int32), 3)
 
 
 def test_records_without_triangles_are_harmless():

@@ -25,6 +25,7 @@ from shapeforge.viewer.qt.reading_note import ReadingNote
 from shapeforge.viewer.qt.theme import PADDING
 from shapeforge.viewer.qt.thumbnails import Thumbnails
 from shapeforge.viewer.qt.widgets import (
+    ElidedLabel,
     Picture,
     button,
     column,
@@ -35,6 +36,7 @@ from shapeforge.viewer.qt.widgets import (
     scrolled,
     section,
     separator,
+    shortened,
 )
 from shapeforge.viewer.regroup import can_make_exemplar, chosen_shapes
 from shapeforge.viewer.session import Session
@@ -134,9 +136,9 @@ class CollectionPlace:
         )
         holder = QWidget()
         holder.setLayout(column(self.groups, separator(), spacing=0))
-        self.exemplar_title, self.typical = label("", "heading"), label("", "caption")
+        self.exemplar_title, self.typical = ElidedLabel("", "heading"), label("", "caption")
         self.preview = Picture(PREVIEW, top=PREVIEW_WORDS)
-        self.preview_name, self.preview_about = label("", "strong"), label("", "caption")
+        self.preview_name, self.preview_about = ElidedLabel("", "strong"), label("", "caption")
         words = column(self.preview_name, self.preview_about, None, spacing=0, margins=(12, 10, 12, 8))
         self.look = action_button(self.actions, "look_at", self.binding, text="", kind="icon")
         words.addLayout(row(None, self.look))
@@ -144,7 +146,7 @@ class CollectionPlace:
         self.choose_button = button("Choose another exemplar…", icon="swap")
         self.choose_button.clicked.connect(self._press_choose)
         self.exemplar_section = section(
-            row(self.exemplar_title, None, self.typical), framed(row(self.preview), "preview"), self.choose_button
+            row(self.exemplar_title, self.typical), framed(row(self.preview), "preview"), self.choose_button
         )
         self.selection = SelectionSection(self.session, self.actions, self.binding)
         self.problems = ProblemList(self.session)
@@ -268,14 +270,17 @@ class CollectionPlace:
         self.preview_about.setText(f"{grouped(project.shape_record(exemplar)['n_faces'])} faces")
         can, why = can_make_exemplar(self.session)
         if self.choosing:
-            self.choose_button.setText("Keep the present one")
+            text, about = "Keep the present one", "Leave the exemplar as it is  (Esc)"
         elif can:
-            self.choose_button.setText(f"Make {self.session.shape} the exemplar")
+            text = f"Make {shortened(self.session.shape, 12)} the exemplar"
+            about = f"{self.session.shape} is painted for its group, and its template is made of it"
         else:
-            self.choose_button.setText("Choose another exemplar…")
+            text, about = "Choose another exemplar…", "The next click on the map chooses what stands for the group"
         alone = len(groups.members(g)) < 2
-        self.choose_button.setEnabled(not alone and not self.session.running)
-        self.choose_button.setToolTip("It is alone in its group." if alone else why if self.session.running else "")
+        off = "It is alone in its group." if alone else why if self.session.running else ""
+        self.choose_button.setText(text)
+        self.choose_button.setEnabled(not off)
+        self.choose_button.setToolTip(f"{about}\n{off}" if off else about)
         self._pictures_changed()
 
     def _pictures_changed(self) -> None:

@@ -12,7 +12,7 @@ from PySide6.QtWidgets import QFrame, QProgressBar, QScrollArea, QWidget
 from shapeforge.store import Problem
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.palette import rgb
-from shapeforge.viewer.qt.bind import Binding, action_button
+from shapeforge.viewer.qt.bind import Binding, action_button, tooltip_of
 from shapeforge.viewer.qt.controls import Clickable
 from shapeforge.viewer.qt.icons import refresh, set_icon
 from shapeforge.viewer.qt.map_drawing import group_colour
@@ -31,6 +31,7 @@ from shapeforge.viewer.qt.widgets import (
     section,
     separator,
     set_style,
+    shortened,
 )
 from shapeforge.viewer.readiness import group_of, groups_of, next_step, next_to_paint, unpainted_exemplars
 from shapeforge.viewer.regroup import chosen_shapes, is_left_out
@@ -103,7 +104,8 @@ class CollectionStrip(QWidget):
             state = "painted" if painted else "next" if name == upcoming else "to paint"
             picture = Picture((38, 38))
             words = column(ElidedLabel(name, "strong"), label(state, role), spacing=0)
-            card = Clickable(row(picture, words, spacing=10, margins=(10, 3, 10, 3)), "card")
+            about = f"{name}\nClick selects, double-click looks at it large."
+            card = Clickable(row(picture, words, spacing=10, margins=(10, 3, 10, 3)), "card", tooltip=about)
             card.setFixedHeight(47)
             card.setMinimumWidth(132)
             card.clicked.connect(lambda name=name: self.chosen.emit(name))
@@ -160,13 +162,12 @@ class CollectionStrip(QWidget):
 
     def _show_next(self) -> None:
         name, text = next_step(self.session)
-        self.next.setText(text)
+        self.next.setText(shortened(text, 34))
         turning = self.session.turn is not None  # one blue button at a time: "Keep" is it then
         set_style(self.next, "kind", "" if turning else "primary")
         set_icon(self.next, "right", "text_2" if turning else "on_accent")
-        can, why = self.actions.verdict(name)
-        self.next.setEnabled(can)
-        self.next.setToolTip(why if not can else self.actions[name].tooltip)
+        self.next.setEnabled(self.actions.verdict(name)[0])
+        self.next.setToolTip(tooltip_of(self.actions, name))
 
     def _press_next(self) -> None:
         self.actions.run(next_step(self.session)[0])
@@ -178,7 +179,7 @@ class SelectionSection(QWidget):
     def __init__(self, session: Session, actions: Actions, binding: Binding) -> None:
         super().__init__()
         self._session = session
-        self.what = ElidedLabel("", "text2")
+        self.what = ElidedLabel("", "text2", Qt.TextElideMode.ElideMiddle)
         self.move = action_button(actions, "move_shapes", binding)
         self.new = action_button(actions, "make_group", binding)
         self.out = action_button(actions, "leave_out", binding)
@@ -189,8 +190,8 @@ class SelectionSection(QWidget):
             line.setStretch(0, 1)
             line.setStretch(1, 1)
             rows.append(line)
-        head = row(label("Selected", "heading"), None, self.what)
-        head.setStretch(2, 1)
+        head = row(label("Selected", "heading"), self.what)
+        head.setStretch(1, 1)
         self.setLayout(column(section(head, *rows), spacing=0))
 
     def show_selection(self) -> None:

@@ -22,7 +22,7 @@ from PySide6.QtWidgets import (
 )
 
 from shapeforge.viewer.qt.theme import colours
-from shapeforge.viewer.qt.widgets import button, icon_label, label, row, set_style
+from shapeforge.viewer.qt.widgets import ElidedLabel, button, icon_label, label, row, set_style
 
 
 class Switch(QAbstractButton):
@@ -178,7 +178,7 @@ class EditableName(QWidget):
 
     def __init__(self, name: str) -> None:
         super().__init__()
-        self._label = label(name, "strong")
+        self._label = ElidedLabel(name, "strong", Qt.TextElideMode.ElideMiddle)
         self.editor = QLineEdit(name)
         self.editor.setFixedHeight(22)
         self.editor.setVisible(False)
@@ -190,14 +190,14 @@ class EditableName(QWidget):
         self.setLayout(row(self._label, self.editor, spacing=0))
 
     def text(self) -> str:
-        """The name shown."""
-        return self._label.text()
+        """The name, which may be shown shortened."""
+        return self._label.full_text()
 
     def start(self) -> None:
         """Edit it; the focus goes back to where it is now."""
         self._editing, self._before = True, QApplication.focusWidget()
         self._label.hide()
-        self.editor.setText(self._label.text())
+        self.editor.setText(self.text())
         self.editor.show()
         self.editor.setFocus()
         self.editor.selectAll()
@@ -206,7 +206,7 @@ class EditableName(QWidget):
         if event.type() in (QEvent.Type.KeyPress, QEvent.Type.ShortcutOverride) and event.key() == Qt.Key.Key_Escape:
             event.accept()  # before the window's own Escape
             if event.type() == QEvent.Type.KeyPress:
-                self.editor.setText(self._label.text())
+                self.editor.setText(self.text())
                 self._end()
             return True
         return False
@@ -218,5 +218,5 @@ class EditableName(QWidget):
                 self._before.setFocus()
             self.editor.hide()
             self._label.show()
-            if self.editor.text() != self._label.text():
+            if self.editor.text() != self.text():
                 self.renamed.emit(self.editor.text())

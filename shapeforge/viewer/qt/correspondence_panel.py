@@ -177,16 +177,17 @@ class CorrespondencePlace:
             names.sort()
         elif self.session.project.groups is not None:
             groups = self.session.project.groups
-            index = {name: i for i, name in enumerate(groups.names)} if len(groups.names) == len(groups.group) else {}
-            names.sort(key=lambda name: (int(groups.group[index[name]]) if name in index else 0, name))
+            group = dict(zip(self.session.project.names, groups.group.tolist(), strict=False))
+            names.sort(key=lambda name: (group.get(name, len(groups)), name))
         self.order = tuple(names)
         self.page = min(self.page, self._pages() - 1)
         first = self.page * self.count
         self.names = self.order[first : first + self.count]
         many, number = len(names), len(self.names)
         where = f"{first + 1}–{first + number}" if many > self.count else f"{number}"
-        options = tuple((n, f"{min(int(n), many)} at once") for n in COUNTS)
-        self.showing.set_options(options, f"{where} of {many}")
+        some = [(n, f"{n} at once") for n in COUNTS if int(n) < many]
+        enough = [(n, f"all {many}") for n in COUNTS if int(n) >= many]
+        self.showing.set_options([*some, *enough[:1]], f"{where} of {many}")
 
     def _pages(self) -> int:
         return max(-(-len(self.order) // self.count), 1)
@@ -233,7 +234,8 @@ class CorrespondencePlace:
         for one in (self.colour, self.sorting, self.showing, self.before, self.after):
             one.setVisible(not self.overlaid)
         self.inspector.show_points(self.box, self.second)
-        self.inspector.show_legend("distance" if self.overlaid else self._shown_by())
+        shown_by = "distance" if self.overlaid else self._shown_by()
+        self.inspector.show_legend(shown_by, waiting=shown_by == "part" and self.colour_by == "spread")
         self.inspector.overlay.setText("Back to all shapes" if self.overlaid else "Overlay two shapes")
         self.strip.show_marks()
         self.session.edit_count += 1  # what can be done depends on what is picked

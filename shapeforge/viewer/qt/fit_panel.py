@@ -291,7 +291,7 @@ class FitPlace:
         self.view.fit_if_cut()
         shape = session.project.shapes.named(name)
         turned = ", turned as the family lies" if now is not None and not np.array_equal(now.turn, UNTURNED) else ""
-        self.heads[0][1].setText(f"{name}, {grouped(shape.n_points)} points{turned}")
+        self.heads[0][1].setText(f"{shortened(name, 22)}, {grouped(shape.n_points)} points{turned}")
         if now is None:
             self.heads[1][1].setText("not fitted yet")
             self.heads[2][1].setText("after the fit")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from PySide6.QtCore import Signal
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QFrame, QWidget
 
 from shapeforge.viewer.fit_display import sureness
@@ -11,6 +11,7 @@ from shapeforge.viewer.fit_record import WATCHED_AT_MOST, FitRecord
 from shapeforge.viewer.palette import as_hex, tokens
 from shapeforge.viewer.qt.plots import Curves
 from shapeforge.viewer.qt.widgets import (
+    ElidedLabel,
     Swatch,
     button,
     clear,
@@ -64,7 +65,7 @@ class FitReport(QWidget):
         self.change = Curves(from_zero=True, height=58, numbered=False)
         self.sigma = Curves(from_zero=True, height=88)
         self.energy_text = label("", "caption", wrap=True)
-        self.parts_title = label("Parts", "heading")
+        self.parts_title = ElidedLabel("Parts", "heading")
         self.part_list = column(spacing=0)
         energy = heading("Energy", "", label("nats per point", "caption"))
         change = heading("Movement of the points", "", label("% of size a round", "caption"))
@@ -111,40 +112,48 @@ class FitReport(QWidget):
         if beliefs is None or record.newest < 1:
             self.part_list.addWidget(label("Known after the first round.", "caption"))
             return
-        names = record.looks[0].part_names
-        inks = record.looks[0].inks
         sure = sureness(np.asarray(beliefs.segmentation, float))
         lent = {part: record.looks[theirs.template].source for part, theirs in beliefs.lent}
-        known = set(record.looks[beliefs.template].label.tolist())
-        for part, part_name in enumerate(names):
+        for part in range(len(record.looks[0].part_names)):
             on = bool(beliefs.active[part]) or part in lent
-            swatch = Swatch(as_hex(inks[part]))
-            swatch.setEnabled(on)
-            off_on = record.off_on(part)
-            tooltip = f"Off on {len(off_on)} of {len(record.active)} shapes" if off_on else "On every shape"
-            said = label(part_name, "" if on else "off", tooltip=tooltip)
-            source = label(f"from {lent[part]}" if lent.get(part) else "", "caption", tooltip=LENT)
+            self.part_list.addWidget(_part_row(record, part, on, float(sure[part]), lent.get(part)))
             if not on:
-                state = label("off", "off", tooltip=tooltip)
-            elif np.isnan(sure[part]):
-                state = label("no points", "warning")
-            else:
-                state = label(f"{100 * sure[part]:.0f}% sure", "text2" if sure[part] > 0.75 else "warning")
-            self.part_list.addWidget(framed(row(swatch, 4, said, source, None, state), "", height=28))
-            if on:
-                continue
-            others = tuple(one for one in off_on if one != name)
-            odds = float(beliefs.misfit[part]) if part in known else float("nan")
-            can = (
-                (False, "Stop the fit first.") if session.running
-                else (True, f"{name} has this part? Paint some of it, and the next fit keeps it.")
-            )  # fmt: skip
-            note = OffNote(part_name, existence_text(odds), others, can)
-            note.override.clicked.connect(lambda _=False, part_name=part_name: self.override.emit(part_name))
-            note.show_others.clicked.connect(lambda _=False, others=others: self.watch.emit(others[:WATCHED_AT_MOST]))
-            self.notes[part_name] = note
-            self.part_list.addWidget(note)
-            self.part_list.addSpacing(6)
+                self._add_note(record, session, part, name)
+
+    def _add_note(self, record: FitRecord, session: Session, part: int, name: str) -> None:
+        """Why a part is off on the shape ``name``, on which others it is, and the way to insist on it."""
+        beliefs, part_name = record.beliefs(name), record.looks[0].part_names[part]
+        others = tuple(one for one in record.off_on(part) if one != name)
+        known = part in record.looks[beliefs.template].label
+        can = (
+            (False, "Stop the fit first.") if session.running
+            else (True, f"{name} has this part? Paint some of it, and the next fit keeps it.")
+        )  # fmt: skip
+        odds = float(beliefs.misfit[part]) if known else float("nan")
+        note = OffNote(part_name, existence_text(odds), others, can)
+        note.override.clicked.connect(lambda: self.override.emit(part_name))
+        note.show_others.clicked.connect(lambda: self.watch.emit(others[:WATCHED_AT_MOST]))
+        self.notes[part_name] = note
+        self.part_list.addWidget(note)
+        self.part_list.addSpacing(6)
+
+
+def _part_row(record: FitRecord, part: int, on: bool, sure: float, source: str | None) -> QWidget:
+    """One part: colour, name, the exemplar that lends it (``source``), and how sure it is (NaN: without points)."""
+    look, off_on = record.looks[0], record.off_on(part)
+    tooltip = f"Off on {len(off_on)} of {len(record.active)} shapes" if off_on else "On every shape"
+    swatch = Swatch(as_hex(look.inks[part]))
+    swatch.setEnabled(on)
+    said = ElidedLabel(look.part_names[part], "" if on else "off", Qt.TextElideMode.ElideMiddle, about=tooltip)
+    lender = ElidedLabel(f"from {source}" if source else "", "caption", Qt.TextElideMode.ElideMiddle, about=LENT)
+    if not on:
+        state = label("off", "off", tooltip=tooltip)
+    elif np.isnan(sure):
+        state = label("no points", "warning", tooltip="No surface of the shape is taken for this part")
+    else:
+        certain = "How sure the surface that is taken for this part is"
+        state = label(f"{100 * sure:.0f}% sure", "text2" if sure > 0.75 else "warning", tooltip=certain)
+    return framed(row(swatch, 4, said, lender, None, state), "", height=28)
 
 
 LENT = "The exemplar that explains this shape best lacks the part: another one brings it"

@@ -28,6 +28,7 @@ class Search(QLineEdit):
         self.setFixedWidth(232)
         self.setTextMargins(22, 0, 52, 0)
         self.setAccessibleName("Find a shape")
+        self._about = f"Select a shape by a part of its name  ({native('Ctrl+K')})"
         self._names = QStringListModel(self)
         completer = QCompleter(self._names, self)
         completer.setCaseSensitivity(Qt.CaseSensitivity.CaseInsensitive)
@@ -44,6 +45,7 @@ class Search(QLineEdit):
         project = self._session.project
         self._names.setStringList([] if project is None else list(project.names))
         self.setEnabled(project is not None)
+        self.setToolTip(self._about if project is not None else f"{self._about}\nOpen or import some shapes first.")
 
     def _enter(self) -> None:
         wanted = self.text().strip().casefold()
@@ -106,24 +108,25 @@ class Header(QFrame):
         if session.project is None:
             self.crumbs.addWidget(label("shapeforge", "heading"))
             return
-        crumbs = [(session.project.name, self._to_collection)]
+        crumbs = [session.project.name]
         g = group_of(session, session.shape)
         if session.shape is None or session.place in ("collection", "synthesize"):
-            crumbs.append((PLACE_NAMES[session.place], self._to_collection))
+            crumbs.append(PLACE_NAMES[session.place])
         else:
             if g >= 0:
-                crumbs.append((groups_of(session).names[g], self._to_collection))
-            crumbs.append((session.shape, self._to_collection))
-        for i, (text, go) in enumerate(crumbs):
+                crumbs.append(groups_of(session).names[g])
+            crumbs.append(session.shape)
+        for i, text in enumerate(crumbs):
             last = i == len(crumbs) - 1
             if i:
                 self.crumbs.addWidget(icon_label("right", "text_off", 12))
-            one = button(shortened(text, 30), kind="crumb", tooltip=text if len(text) > 30 else "")
+            what = "You are here." if last else "Go to the collection."
+            one = button(shortened(text, 30), kind="crumb", tooltip=f"{text}\n{what}")
             one.setEnabled(not last)
             bold = QFont(one.font())  # the last one is bold, which its hint of size does not know
             bold.setWeight(QFont.Weight.DemiBold)
             one.setMinimumWidth(QFontMetrics(bold).horizontalAdvance(one.text()) + 14 if last else 0)
-            one.clicked.connect(go)
+            one.clicked.connect(self._to_collection)
             self.crumbs.addWidget(one)
         refresh(self, session.theme)
 

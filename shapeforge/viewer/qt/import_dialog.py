@@ -92,6 +92,25 @@ class ImportDialog(QDialog):
             self.up_choice.setEnabled(False)
             self.up_choice.setToolTip("As for the shapes that are there already; each can be turned later.")
         self.up_choice.chosen.connect(self._choose_up)
+        self._make_table()
+        self.cancel = button("Cancel", tooltip="Import nothing  (Esc)")
+        self.cancel.clicked.connect(self.reject)
+        self.start = button("Import", kind="primary")
+        self.start.setDefault(True)
+        self.start.clicked.connect(self.accept)
+        told = label("Sizes are for your information: every shape is scaled alike. Files are copied, never changed.",
+                     "caption")  # fmt: skip
+        foot = row(told, None, self.cancel, self.start, spacing=8)
+        top = row(self.title, None, self.up_choice)
+        self.setLayout(column(top, self.said, self.table, foot, spacing=10, margins=(20, 16, 20, 16)))
+        self._mail = _Mail(self)
+        self._mail.arrived.connect(self._read_mail)
+        self.reader = Runner(self._mail.arrived.emit)
+        self.done_reading = False
+        self.reader.start("preview", lambda: previews(paths))
+        self._show_count()
+
+    def _make_table(self) -> None:
         self.table = QTableWidget(0, len(HEADINGS))
         self.table.setHorizontalHeaderLabels(HEADINGS)
         self.table.verticalHeader().hide()
@@ -109,22 +128,6 @@ class ImportDialog(QDialog):
             self.table.setColumnWidth(number, width)
         head.setSectionResizeMode(3, QHeaderView.ResizeMode.Stretch)
         self.table.itemChanged.connect(lambda _item: self._show_count())
-        self.cancel = button("Cancel", tooltip="Import nothing  (Esc)")
-        self.cancel.clicked.connect(self.reject)
-        self.start = button("Import", kind="primary")
-        self.start.setDefault(True)
-        self.start.clicked.connect(self.accept)
-        told = label("Sizes are for your information: every shape is scaled alike. Files are copied, never changed.",
-                     "caption")  # fmt: skip
-        foot = row(told, None, self.cancel, self.start, spacing=8)
-        top = row(self.title, None, self.up_choice)
-        self.setLayout(column(top, self.said, self.table, foot, spacing=10, margins=(20, 16, 20, 16)))
-        self._mail = _Mail(self)
-        self._mail.arrived.connect(self._read_mail)
-        self.reader = Runner(self._mail.arrived.emit)
-        self.done_reading = False
-        self.reader.start("preview", lambda: previews(paths))
-        self._show_count()
 
     def _read_mail(self) -> None:
         news = self.reader.take()

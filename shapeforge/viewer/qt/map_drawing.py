@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, Qt
-from PySide6.QtGui import QColor, QFontMetricsF, QPainter, QPen, QPolygonF
+from PySide6.QtGui import QColor, QFontMetricsF, QPainter, QPen, QPixmap, QPolygonF
 
 from shapeforge.viewer.palette import SWITCHED_OFF, group_colours
 from shapeforge.viewer.qt import icons
@@ -105,60 +105,73 @@ class MapDrawing:
         painter.drawText(QPointF(x + widths[0], at.y()), number)
 
     def _paint_shape(self, index: int, exemplar: bool) -> None:
-        painter, tokens = self.painter, self.tokens
-        name, g = self.map.content.names[index], int(self.map.content.group[index])
-        centre, tile = self.map.at(index), self.map.tile
-        colour = QColor(group_colour(g if self.map.content.grouped else 0, len(self.map.content.exemplars)))
-        in_rows = self.map.rows or not self.map.content.grouped
-        box = QRectF(centre.x() - tile / 2, centre.y() - tile / 2, tile, tile)
+        content, tile, centre = self.map.content, self.map.tile, self.map.at(index)
+        name, g = content.names[index], int(content.group[index])
+        colour = QColor(group_colour(g if content.grouped else 0, len(content.exemplars)))
         if tile < DOT_BELOW:
-            painter.setPen(Qt.PenStyle.NoPen)
-            painter.setBrush(colour)
-            radius = max(tile * (0.34 if exemplar else 0.22), 1.5)
-            painter.drawEllipse(centre, radius, radius)
-            if name in self.map.selected or name == self.map.current:
-                painter.setPen(QPen(QColor(tokens["accent"]), 1.5))
-                painter.setBrush(Qt.BrushStyle.NoBrush)
-                painter.drawEllipse(centre, radius + 2, radius + 2)
+            self._paint_dot(index, colour, max(tile * (0.34 if exemplar else 0.22), 1.5))
             return
-        chosen = name == self.map.current
+        chosen, in_rows = name == self.map.current, self.map.rows or not content.grouped
+        box = QRectF(centre.x() - tile / 2, centre.y() - tile / 2, tile, tile)
         if in_rows:
             self._paint_frame(box.adjusted(3, 3, -3, -3), chosen, index)
-            picture_box = box.adjusted(10, 6, -10, -22)
+            inner = box.adjusted(10, 6, -10, -22)
         elif exemplar:
-            marked = chosen or name in self.map.selected
-            accent = QColor(tokens["accent"]) if marked else colour
-            fill = QColor(accent)
-            fill.setAlphaF(0.25 if marked else 0.10)
-            painter.setPen(QPen(accent, 2))
-            painter.setBrush(fill)
-            painter.drawEllipse(centre, tile * 0.56, tile * 0.56)
-            picture_box = box.adjusted(*(v * tile * 0.07 for v in (1, 1, -1, -1)))
+            self._paint_ring(index, colour)
+            inner = box.adjusted(*(v * tile * 0.07 for v in (1, 1, -1, -1)))
         else:
             self._paint_frame(box, chosen, index)
-            picture_box = box.adjusted(*(v * tile * 0.03 for v in (1, 1, -1, -1)))
-        pixmap = self.map.picture(name, g)
-        if pixmap is not None:
-            side = min(picture_box.width(), picture_box.height())
-            target = QRectF(0, 0, side, side)
-            target.moveCenter(picture_box.center())
-            painter.drawPixmap(target, pixmap, QRectF(pixmap.rect()))
-        else:
-            faint = QColor(colour)
-            faint.setAlphaF(0.3)
-            painter.setPen(Qt.PenStyle.NoPen)
-            painter.setBrush(faint)
-            painter.drawEllipse(centre, 3, 3)
+            inner = box.adjusted(*(v * tile * 0.03 for v in (1, 1, -1, -1)))
+        self._paint_picture(inner, self.map.picture(name, g), colour)
         if in_rows:
-            painter.setFont(font(11, 500 if chosen else 400))
-            painter.setPen(QColor(tokens["text" if chosen else "text_2"]))
-            words = QFontMetricsF(painter.font()).elidedText(name, Qt.TextElideMode.ElideMiddle, tile - 16)
-            painter.drawText(
-                box.adjusted(4, 0, -4, -5), Qt.AlignmentFlag.AlignHCenter | Qt.AlignmentFlag.AlignBottom, words
-            )
+            self._paint_words(box, name, chosen)
         if exemplar:
             corner = box.topRight() + QPointF(-13, 13) if in_rows else centre + QPointF(0.4, -0.4) * tile
-            self._paint_star(corner, QColor(tokens["accent"]) if chosen else colour)
+            self._paint_star(corner, QColor(self.tokens["accent"]) if chosen else colour)
+
+    def _paint_dot(self, index: int, colour: QColor, radius: float) -> None:
+        """A shape seen from so far that its picture would say nothing."""
+        painter, centre, name = self.painter, self.map.at(index), self.map.content.names[index]
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(colour)
+        painter.drawEllipse(centre, radius, radius)
+        if name in self.map.selected or name == self.map.current:
+            painter.setPen(QPen(QColor(self.tokens["accent"]), 1.5))
+            painter.setBrush(Qt.BrushStyle.NoBrush)
+            painter.drawEllipse(centre, radius + 2, radius + 2)
+
+    def _paint_ring(self, index: int, colour: QColor) -> None:
+        """Round an exemplar."""
+        name = self.map.content.names[index]
+        marked = name == self.map.current or name in self.map.selected
+        ink = QColor(self.tokens["accent"]) if marked else colour
+        fill = QColor(ink)
+        fill.setAlphaF(0.25 if marked else 0.10)
+        self.painter.setPen(QPen(ink, 2))
+        self.painter.setBrush(fill)
+        self.painter.drawEllipse(self.map.at(index), self.map.tile * 0.56, self.map.tile * 0.56)
+
+    def _paint_picture(self, box: QRectF, pixmap: QPixmap | None, colour: QColor) -> None:
+        """The picture in the middle of ``box``; a faint dot where it is still to come."""
+        if pixmap is not None:
+            side = min(box.width(), box.height())
+            target = QRectF(0, 0, side, side)
+            target.moveCenter(box.center())
+            self.painter.drawPixmap(target, pixmap, QRectF(pixmap.rect()))
+            return
+        faint = QColor(colour)
+        faint.setAlphaF(0.3)
+        self.painter.setPen(Qt.PenStyle.NoPen)
+        self.painter.setBrush(faint)
+        self.painter.drawEllipse(box.center(), 3, 3)
+
+    def _paint_words(self, box: QRectF, name: str, chosen: bool) -> None:
+        painter = self.painter
+        painter.setFont(font(11, 500 if chosen else 400))
+        painter.setPen(QColor(self.tokens["text" if chosen else "text_2"]))
+        words = QFontMetricsF(painter.font()).elidedText(name, Qt.TextElideMode.ElideMiddle, box.width() - 16)
+        below = Qt.AlignmentFlag.AlignHCenter | Qt.AlignmentFlag.AlignBottom
+        painter.drawText(box.adjusted(4, 0, -4, -5), below, words)
 
     def _paint_frame(self, box: QRectF, chosen: bool, index: int) -> None:
         painter, tokens = self.painter, self.tokens

@@ -108,7 +108,7 @@ class Overlay(QWidget):
         painter.drawRoundedRect(QRectF(bar.x(), bar.y(), max(bar.width() * min(value, 1.0), 3), 4), 2, 2)
         painter.setFont(look.font(11, 600 if low else 400))
         painter.setPen(self._colour("error" if low else "text_2"))
-        painter.drawText(QRectF(bar.x() - 46, bar.y() - 6, 40, 16), Qt.AlignmentFlag.AlignRight, f"{value:.0%}")
+        painter.drawText(QRectF(bar.x() - 46, bar.y() - 6, 40, 16), Qt.AlignmentFlag.AlignRight, whole_percent(value))
         if low:  # status is never colour alone
             cx, cy = bar.x() - 44, bar.y() + 2
             painter.setPen(QPen(self._colour("error"), 1.4))
@@ -232,3 +232,8 @@ class Overlay(QWidget):
         painter.drawEllipse(here, 4.2, 4.2)
         painter.setFont(look.font(11, 600))
         painter.drawText(QRectF(here.x() - 80, here.y() - 54, 160, 16), Qt.AlignmentFlag.AlignCenter, text)
+
+
+def whole_percent(value: float) -> str:
+    """A confidence in whole percent, never rounded up: 49.7% is below 50%."""
+    return f"{int(100 * value)}%"

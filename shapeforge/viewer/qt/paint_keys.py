@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from shapeforge.viewer.actions import YES, Action, Verdict
-from shapeforge.viewer.painter import TOOL_NAMES
+from shapeforge.viewer.painter import TOOL_NAMES, Painter
 from shapeforge.viewer.qt.paint_parts import TOOL_HINTS, TOOL_KEYS
 from shapeforge.viewer.session import Session
 
@@ -28,24 +28,13 @@ def paint_actions(place: Any) -> list[Action]:
     def toggle(field: str, first: str, second: str) -> None:
         setattr(session, field, second if getattr(session, field) == first else first)
 
-    def can_mirror(_session: Session) -> Verdict:
-        if painter.name is None:
-            return False, "Choose a shape first."
-        return YES if painter.mirror_plane is not None else (False, f"{painter.name} is not symmetric enough.")
-
-    def can_complete(_session: Session) -> Verdict:
-        labels = painter.state.labels
-        if not (labels >= 0).any():
-            return False, "Paint a stroke on each part first."
-        return YES if (labels < 0).any() else (False, "Everything is painted.")
-
     for tool, key in TOOL_KEYS.items():
         add(f"tool_{tool}", TOOL_NAMES[tool], lambda tool=tool: setattr(session, "tool", tool), key, TOOL_HINTS[tool],
             tool)  # fmt: skip
     for number in range(1, 10):
         add(f"part_{number}", f"Part {number}", lambda n=number: take_part(n - 1), str(number))
     add("mirror", "Mirror", lambda: setattr(session, "mirror", not session.mirror), "M", "Paint the opposite side too",
-        "mirror", can_mirror)  # fmt: skip
+        "mirror", lambda _session: _can_mirror(painter))  # fmt: skip
     add("isolate", "Isolate", place.toggle_isolate, "H", "Show only the current part and what is unpainted", "eye")
     add("reach", "Surface or through", lambda: toggle("reach", "surface", "through"), "T",
         "Brush and lasso take what is seen, or what lies behind, too")  # fmt: skip
@@ -56,10 +45,23 @@ def paint_actions(place: Any) -> list[Action]:
     add("next_piece", "Next piece", place.go_next, "N", "Turn to the next unpainted piece", "",
         lambda _session: YES if place.has_unpainted else (False, "Everything is painted."))  # fmt: skip
     add("complete", "Complete the rest", place.complete, "Shift+S", "Fill in what is unpainted from what is painted",
-        "scribble", can_complete)  # fmt: skip
+        "scribble", lambda _session: _can_complete(painter))  # fmt: skip
     add("home_view", "Look from the front", lambda: place.view.fit(), "Home", "The usual view", "home")
     found.append(
         Action("fit_family", "Fit the family", place.fit_family, place.can_fit, "",
                "Explain every shape with these parts", "fit")
     )  # fmt: skip
     return found
+
+
+def _can_mirror(painter: Painter) -> Verdict:
+    if painter.name is None:
+        return False, "Choose a shape first."
+    return YES if painter.mirror_plane is not None else (False, f"{painter.name} is not symmetric enough.")
+
+
+def _can_complete(painter: Painter) -> Verdict:
+    labels = painter.state.labels
+    if not (labels >= 0).any():
+        return False, "Paint a stroke on each part first."
+    return YES if (labels < 0).any() else (False, "Everything is painted.")

@@ -123,6 +123,8 @@ class PaintPlace:
         )
         self.isolate.clicked.connect(lambda: self.actions.run("isolate"))
         self.solid = Segments((("solid", "Solid", ""), ("edges", "Edges", "")), "solid")
+        self.solid.button("solid").setToolTip("Show the surface alone")
+        self.solid.button("edges").setToolTip("Show the edges of the faces, too")
         self.solid.chosen.connect(self._show_edges)
         home = action_button(self.actions, "home_view", self.binding, text="", kind="tool")
         self.toolbar_widget = framed(

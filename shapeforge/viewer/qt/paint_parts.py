@@ -88,7 +88,7 @@ class PartRow(Clickable):
         self.name = EditableName(name)
         self.editor = self.name.editor
         self.share = label("0%", "text2")
-        self.eye = button(icon="eye", kind="icon", tooltip="Show or hide this part")
+        self.eye = button(icon="eye", kind="icon", tooltip="Show or hide this part  (Shift+H: the current one)")
         self.eye.setStyleSheet("min-width: 20px; max-width: 20px; min-height: 18px; max-height: 18px;")
         self.eye.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.bar = ShareBar(3)
@@ -138,6 +138,9 @@ class ToolButton(QAbstractButton):
         self.setAccessibleName(tooltip.split("  ")[0])
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setAttribute(Qt.WidgetAttribute.WA_Hover)
+
+    def nextCheckState(self) -> None:
+        """A click asks only; what is in hand is shown by the Session: a click on that must not put it away."""
 
     def paintEvent(self, event: QEvent) -> None:
         tokens = colours(self)

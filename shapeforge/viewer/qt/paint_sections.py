@@ -84,7 +84,8 @@ class BrushSection(QWidget):
 
 def scribble_section(actions: Actions, binding: Binding) -> QWidget:
     """What the Scribble tool does, and the button that does it at once."""
-    words = label("One stroke on each part with the Scribble tool, the rest is filled in.", "caption", wrap=True)
+    about = "One stroke on each part with the Scribble tool: pieces like it follow, one leg speaks for four."
+    words = label(about, "caption", wrap=True)
     complete = action_button(actions, "complete", binding)
     return section(heading("Scribble", "", label("S", "keycap")), words, complete, line=False)
 

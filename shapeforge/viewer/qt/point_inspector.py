@@ -16,7 +16,7 @@ from shapeforge.viewer.qt.bind import Binding, action_button
 from shapeforge.viewer.qt.overlay import LOW_CONFIDENCE
 from shapeforge.viewer.qt.stale_note import stale_note
 from shapeforge.viewer.qt.theme import colours
-from shapeforge.viewer.qt.widgets import ElidedLabel, Swatch, column, icon_label, label, row, scrolled, section
+from shapeforge.viewer.qt.widgets import ElidedLabel, Swatch, column, framed, icon_label, label, row, scrolled, section
 from shapeforge.viewer.session import Session
 
 LEGENDS: dict[str, tuple[str, tuple[str, str, str], str]] = {
@@ -44,30 +44,41 @@ class PointInspector(QFrame):
     def __init__(self, session: Session, actions: Actions, binding: Binding) -> None:
         super().__init__()
         self.session = session
+        stale = stale_note(actions, binding, "fit", "go_fit", "Fit again")
+        body = scrolled(
+            stale, self._make_picked(actions, binding), self._make_distance(), self._make_sureness(actions, binding)
+        )
+        inside = column(body, self._make_foot(actions, binding), spacing=0)
+        inside.setStretch(0, 1)
+        self.setLayout(inside)
+
+    def _make_picked(self, actions: Actions, binding: Binding) -> QWidget:
         clear_link = action_button(actions, "clear_points", binding, kind="link", icon=False)
         self.first_name, self.first_on = ElidedLabel("", "strong"), label("", "text2")
         self.second_name, self.second_on = ElidedLabel("", "strong"), label("", "text2")
         self.first_swatch, self.second_swatch = Swatch("#4F8CFF", size=12, disc=True), _Ring()
         keep = action_button(actions, "keep_landmark", binding)
-        picked = section(
+        return section(
             row(label("Picked points", "heading"), None, clear_link),
             *self._point_rows(), keep, spacing=10,
         )  # fmt: skip
+
+    def _make_distance(self) -> QWidget:
         self.histogram = Histogram()
         self.distance_of = label("", "caption")
         self.median, self.middle, self.here = label("", "strong"), label("", "strong"), label("", "strong")
-        self.here_name = label("here", "caption")
         numbers = row(
             column(label("median", "caption"), self.median, spacing=2), None,
             column(label("middle half", "caption"), self.middle, spacing=2), None,
-            column(self.here_name, self.here, spacing=2),
+            column(label("here", "caption"), self.here, spacing=2),
         )  # fmt: skip
         self.no_distance = label("Click a second point to measure on every shape.", "caption", wrap=True)
         self.distance_box = QWidget()
         self.distance_box.setLayout(column(self.histogram, numbers, spacing=6))
-        distance = section(
-            row(label("Distance", "heading"), None, self.distance_of), self.no_distance, self.distance_box
-        )
+        title = row(label("Distance", "heading"), None, self.distance_of)
+        return section(title, self.no_distance, self.distance_box)
+
+    def _make_sureness(self, actions: Actions, binding: Binding) -> QWidget:
         self.low_title, self.low_text = label("", "strong"), label("", "caption", wrap=True)
         self.low_icon = icon_label("warning", "error", 16)
         low = row(self.low_icon, column(self.low_title, self.low_text, spacing=2), spacing=8)
@@ -82,26 +93,15 @@ class PointInspector(QFrame):
         self.legend = (label("", "caption"), label("", "caption"), label("", "caption"))
         self.legend_text = label("", "caption", wrap=True)
         ends = row(self.legend[0], None, self.legend[1], None, self.legend[2])
-        sure = section(
-            self.legend_title, self.ramp, ends, self.legend_text, 4, low, 4, buttons, line=False,
-        )  # fmt: skip
+        return section(self.legend_title, self.ramp, ends, self.legend_text, 4, low, 4, buttons, line=False)
+
+    def _make_foot(self, actions: Actions, binding: Binding) -> QFrame:
         self.overlay = action_button(actions, "overlay", binding)
         self.overlay_why = label("", "caption", wrap=True)
-        foot = QFrame()
-        foot.setObjectName("bar")
-        foot.setLayout(
-            column(
-                label("Compare", "heading"),
-                self.overlay,
-                self.overlay_why,
-                spacing=8,
-                margins=(16, 12, 16, 16),
-            )  # fmt: skip
+        inside = column(
+            label("Compare", "heading"), self.overlay, self.overlay_why, spacing=8, margins=(16, 12, 16, 16)
         )
-        stale = stale_note(actions, binding, "fit", "go_fit", "Fit again")
-        inside = column(scrolled(stale, picked, distance, sure), foot, spacing=0)
-        inside.setStretch(0, 1)
-        self.setLayout(inside)
+        return framed(inside, "bar")
 
     def _point_rows(self) -> tuple[QBoxLayout, ...]:
         rows = (
@@ -112,9 +112,14 @@ class PointInspector(QFrame):
             one.setStretch(2, 1)
         return rows
 
-    def show_legend(self, colour_by: str) -> None:
-        """Say what the colours mean: COLOURS of the place, or "distance" of two overlaid shapes."""
+    def show_legend(self, colour_by: str, waiting: bool = False) -> None:
+        """Say what the colours mean: COLOURS of the place, or "distance" of two overlaid shapes.
+
+        ``waiting``: it is what is shown as long as no point is picked.
+        """
         title, ends, text = LEGENDS[colour_by]
+        if waiting:
+            text = "Until a point is picked: the parts. Then: where on each shape it may lie."
         self.legend_title.setText(title)
         for one, words in zip(self.legend, ends, strict=True):
             one.setText(words)
@@ -147,7 +152,8 @@ class PointInspector(QFrame):
         self.low_icon.setVisible(bool(low))
         self.low_title.setText(f"{len(low)} shape{'s' * (len(low) != 1)} below 50%" if low else "No shape below 50%")
         doubt = "Left and right may be mixed up, or the part differs. Paint a correction and fit again."
-        meaning = f"The chance that the point lies within 5% of where it is shown, on {of} shapes."
+        which = "the point" if picked is not None else "a point, in the mean over all,"
+        meaning = f"The chance that {which} lies within 5% of where it is shown, on {of} shapes."
         self.low_text.setText(doubt if low else meaning)
         chosen = len(self.session.selected)
         self.overlay_why.setText(

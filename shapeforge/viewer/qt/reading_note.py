@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QWidget
 
+from shapeforge.stages import Progress
 from shapeforge.viewer.qt.icons import set_icon
 from shapeforge.viewer.qt.widgets import ElidedLabel, column, icon_label, label, row
 from shapeforge.viewer.session import Session
@@ -22,7 +25,10 @@ class ReadingNote(QWidget):
         self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.title, self.words = label("", "title"), label("", "text2")
         self.read: list[tuple[str, str]] = []
-        self.lines = [(icon_label("check", "ok", 14), ElidedLabel("", "text2")) for _ in range(LINES)]
+        self.lines = [
+            (icon_label("check", "ok", 14), ElidedLabel("", "text2", Qt.TextElideMode.ElideMiddle))
+            for _ in range(LINES)
+        ]
         self.files = QWidget()
         self.files.setFixedHeight(LINES * 24)
         listed = [row(sign, name, spacing=8) for sign, name in self.lines]
@@ -45,7 +51,7 @@ class ReadingNote(QWidget):
         if not session.running:
             self.read = []
         if reading and progress.phase == "read" and progress.message:
-            said = progress.message, "check" if progress.problem is None else progress.problem.kind
+            said = _said(progress)
             if said not in self.read[:1]:
                 self.read = [said, *self.read][:LINES]
         self.files.setVisible(session.running)
@@ -67,3 +73,13 @@ class ReadingNote(QWidget):
                 set_icon(sign, kind, "ok" if kind == "check" else kind, 14)
             name.setText(text)
         self.setVisible(True)
+
+
+def _said(progress: Progress) -> tuple[str, str]:
+    """The line of a file that was read, with what is wrong with it, and its sign."""
+    problem = progress.problem
+    if problem is None:
+        return progress.message, "check"
+    # Of a file that could not be read the message is its whole path: there would be no room for the reason.
+    read = f"{Path(problem.file).name}: " if problem.kind == "error" else f"{progress.message} · "
+    return read + problem.reason, problem.kind

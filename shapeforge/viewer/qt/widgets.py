@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
-from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPainterPath, QPaintEvent, QPen, QPixmap
+from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPainterPath, QPaintEvent, QPen, QPixmap, QResizeEvent
 from PySide6.QtWidgets import (
     QBoxLayout,
     QFrame,
@@ -102,12 +102,17 @@ def label(text: str = "", role: str = "", *, wrap: bool = False, tooltip: str = 
 
 
 class ElidedLabel(QLabel):
-    """A label that shortens its text with an ellipsis, and shows all of it as its tooltip, when space is short."""
+    """A label that shortens its text with an ellipsis, and shows all of it as its tooltip, when space is short.
 
-    def __init__(self, text: str = "", role: str = "", mode: Qt.TextElideMode = Qt.TextElideMode.ElideRight) -> None:
+    ``about`` is the tooltip besides.
+    """
+
+    def __init__(
+        self, text: str = "", role: str = "", mode: Qt.TextElideMode = Qt.TextElideMode.ElideRight, *, about: str = ""
+    ) -> None:
         super().__init__()
         self._full = ""
-        self._mode = mode
+        self._mode, self._about = mode, about
         if role:
             self.setProperty("role", role)
         self.setText(text)
@@ -136,7 +141,7 @@ class ElidedLabel(QLabel):
         self.ensurePolished()
         shown = QFontMetrics(self.font()).elidedText(self._full, self._mode, max(self.width(), 8))
         super().setText(shown)
-        self.setToolTip(self._full if shown != self._full else "")
+        self.setToolTip("\n".join(line for line in (self._full if shown != self._full else "", self._about) if line))
 
 
 def button(
@@ -194,11 +199,20 @@ def section(*items: QWidget | QBoxLayout | int | None, spacing: int = 8, line: b
     return result
 
 
+class _Upright(QScrollArea):
+    """Scrolls up and down only: what is too wide for it is cut at its own end and pushes nothing else out."""
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        if self.widget() is not None:
+            self.widget().setMaximumWidth(self.viewport().width())
+        super().resizeEvent(event)
+
+
 def scrolled(*items: QWidget) -> QScrollArea:
     """Sections one below the other; they scroll when the window is low."""
     inside = QWidget()
     inside.setLayout(column(*items, None, spacing=0))
-    area = QScrollArea()
+    area = _Upright()
     area.setObjectName("panel")
     area.setWidget(inside)
     area.setWidgetResizable(True)
