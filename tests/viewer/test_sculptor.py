@@ -1,11 +1,166 @@
-"""The shape in hand without a window: pins, locks and the history, and another machine."""
+"""The shape in hand without a window: sliders, parts, draws and the history, pins and locks, and another machine."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from shapeforge.viewer.pulling import as_place, handles_of
+from shapeforge.generative.units import drive
+from shapeforge.viewer.pulling import as_place, handles_of, off_by
+from shapeforge.viewer.sculptor import Recipe, Sculptor
+from shapeforge.viewer.session import Session
+from shapeforge.viewer.slider_names import changes, choose_names, what_moves
+
+
+def test_the_middle_of_a_slider_leaves_the_shape_alone(sculptor):
+    before = sculptor.points()
+    sculptor.session.sliders = {0: 0.0, 1: 0.0}
+    assert np.array_equal(np.nan_to_num(before), np.nan_to_num(sculptor.points()))
+    sculptor.session.sliders = {0: 2.0}
+    assert np.nanmax(np.abs(sculptor.points() - before)) > 0
+
+
+def test_switched_off_parts_are_gone_and_come_back(sculptor):
+    present = np.flatnonzero(sculptor.exists())
+    sculptor.session.parts_on = {int(present[0]): False}
+    assert np.isnan(sculptor.points()[sculptor.part == present[0]]).all()
+    sculptor.session.parts_on = {}
+    assert np.isfinite(sculptor.points()[sculptor.part == present[0]]).all()
+
+
+def test_history_is_walked_back_and_forth(sculptor):
+    session = sculptor.session
+    session.sliders = {0: 1.0}
+    sculptor.keep("wider")
+    end = sculptor.points()
+    sculptor.undo()
+    assert session.sliders == {} and sculptor.redo_label == "wider"
+    sculptor.redo()
+    assert np.array_equal(np.nan_to_num(sculptor.points()), np.nan_to_num(end))
+    sculptor.undo()
+    session.sliders = {1: -1.0}
+    sculptor.keep("other")
+    assert sculptor.redo_label is None and [recipe.label for recipe in sculptor.recipes] == ["mean", "other"]
+
+
+def test_the_ends_of_the_way_between_two_shapes_are_the_shapes(sculptor):
+    a, b = (sculptor.base_of(name) for name in sculptor.shape_names[:2])
+    for share, end in ((0.0, a), (1.0, b)):
+        middle = sculptor.between(a, b, share)
+        assert np.allclose(middle.first, end.first, atol=1e-5) and np.array_equal(middle.exists, end.exists)
+
+
+def test_draws_differ_and_can_be_repeated(sculptor, learnt):
+    first, second = sculptor.random_base(), sculptor.random_base()
+    assert not np.array_equal(first.top, second.top) or not np.array_equal(first.exists, second.exists)
+    session = Session()
+    session.open(learnt)
+    again = Sculptor(session)
+    again.reload()
+    assert np.array_equal(again.random_base().top, first.top)
+
+
+def test_the_nearest_shape_of_a_shape_is_itself(sculptor):
+    name, distance = sculptor.nearest(sculptor.positions[2])
+    assert name == sculptor.shape_names[2] and distance == pytest.approx(0, abs=1e-6)
+
+
+def test_the_other_end_has_the_same_parts_where_there_is_such_a_shape(sculptor):
+    exists = sculptor.observations.exists
+    for index, name in enumerate(sculptor.shape_names):
+        other = sculptor.shape_names.index(sculptor.other_end(name))
+        assert other != index
+        groups = [sculptor.session.project.groups.group[sculptor.session.project.names.index(n)]
+                  for n in sculptor.shape_names]  # fmt: skip
+        twins = [
+            i for i in range(len(exists))
+            if i != index and (exists[i] == exists[index]).all() and groups[i] == groups[index]
+        ]  # fmt: skip
+        assert not twins or other in twins
+
+
+def test_a_caption_is_measured_on_the_shape_in_hand(sculptor):
+    """From the low to the high end of the slider; another shape in hand, another caption."""
+    every = np.ones(len(sculptor.part_names), bool)
+    for origin, base in (("mean", sculptor.mean_base()), ("other", sculptor.base_of(sculptor.shape_names[2]))):
+        sculptor.start(Recipe(origin, base, origin=origin))
+        for index, direction in enumerate(sculptor.directions):
+            low, high = (
+                drive(sculptor.machine, base, {index: value}, every, directions=sculptor.directions)
+                for value in (direction.low, direction.high)
+            )
+            far = np.linalg.norm(np.asarray(high) - np.asarray(low), axis=1)
+            assert sculptor.caption(index) == what_moves(far, sculptor.part, sculptor.part_names, sculptor.exists())
+
+
+def test_sliders_are_named_after_what_they_do():
+    rng = np.random.default_rng(0)
+    base = np.vstack(
+        [
+            rng.uniform([-0.2, 0, -0.2], [0.2, 0.05, 0.2], (400, 3)),
+            rng.uniform([-0.2, 0.05, -0.2], [0.2, 0.5, -0.15], (400, 3)),
+        ]
+    )
+    part, names, exists = np.repeat([0, 1], 400), ["seat", "back"], np.array([True, True])
+
+    def first(after: np.ndarray) -> str:
+        return changes(base, after, part, names, exists)[0][1]
+
+    assert first(base * [1.4, 1, 1]) == "Width"
+    taller = base.copy()
+    taller[400:, 1] = 0.05 + 1.5 * (base[400:, 1] - 0.05)
+    assert first(taller) in ("Height", "Height of the back")
+    leaning = base.copy()
+    leaning[400:, 2] -= 0.5 * (base[400:, 1] - 0.05)
+    found = [name for _, name in changes(base, leaning, part, names, exists)]
+    assert found.index("Lean of the back") < found.index("Splay of the back") and "Lean of the back" in found[:4]
+    wide = [(0.1, "Width"), (0.09, "Depth")]
+    found = [wide, [(0.1, "Width"), (0.07, "Height")], [(0.1, "Width")], [(0.001, "Width")]]
+    assert choose_names(found, ["a", "b", "c", "d"]) == ["Width", "Height", "Width (2)", "d"]
+    moves = np.where(part == 1, 0.09, 0.01)
+    assert what_moves(moves, part, names, exists) == "moves: back · 9% of size"
+    assert what_moves(moves, part, names, np.array([True, False])) == "moves: seat · 1% of size"
+
+
+# ---- pins and locks -----------------------------------------------------------------------------------------------
+
+
+def test_handles_are_far_apart_and_pins_among_them(sculptor):
+    points = sculptor.points()
+    handles = handles_of(points)
+    pinned = {int(handles[4]), int(np.flatnonzero(np.isfinite(points[:, 0]))[0])}
+    with_pins = handles_of(points, pinned=pinned)
+    assert len(handles) == len(with_pins) == 9 and pinned <= {int(k) for k in with_pins}
+    apart = np.linalg.norm(points[with_pins][:, None] - points[with_pins], axis=2) + np.eye(9)
+    assert apart.min() > 0.05
+
+
+def test_pinned_points_stay_while_others_are_moved(sculptor):
+    """Several at once, in any order; a locked slider keeps its value meanwhile, and without pins all is as it was."""
+    session, points = sculptor.session, sculptor.points()
+    first, second = (int(k) for k in handles_of(points)[:2])
+    alike = np.flatnonzero((sculptor.observations.exists == sculptor.exists()).all(axis=1))
+    away = np.linalg.norm(sculptor.positions[alike][:, [first, second]] - points[[first, second]], axis=2).min(axis=1)
+    target = sculptor.positions[alike[away.argmax()]]  # where another shape has both of them elsewhere
+    wanted = {k: as_place(0.4 * target[k] + 0.6 * points[k]) for k in (first, second)}
+    session.pins = {first: wanted[first]}
+    alone, values = sculptor.points(), sculptor.values()
+    session.pins = wanted
+    both = sculptor.points()
+    session.pins = dict(reversed(wanted.items()))
+    assert np.array_equal(np.nan_to_num(both), np.nan_to_num(sculptor.points()))
+    missed = {k: (off_by(both, k, wanted[k]), off_by(points, k, wanted[k])) for k in wanted}
+    assert all(after < 0.6 * before for after, before in missed.values()), missed
+    assert off_by(both, first, wanted[first]) < off_by(alone, first, wanted[first]) + 0.01
+    assert np.abs(values - sculptor.home()).max() > 0.05, "sliders show what comes of it"
+    sculptor.lock(0, True)
+    now = sculptor.values()[0]
+    session.pins = {first: as_place(points[first] + np.array([0.05, 0.0, 0.0]))}
+    held = sculptor.values()[0]
+    sculptor.lock(0, False)
+    assert abs(held - now) < 0.1 and abs(sculptor.values()[0] - now) > 3 * abs(held - now)
+    session.pins, session.sliders = {}, {}
+    assert np.array_equal(np.nan_to_num(sculptor.points()), np.nan_to_num(points))
 
 
 @pytest.fixture

@@ -63,6 +63,7 @@ class View3D(QWidget):
         self._painted = -math.inf
         self._software: bool | None = None
         self._drag: str | None = None
+        self._button = Qt.MouseButton.NoButton
         self._last = self._press = QPointF()
         self._fitted: Display | None = None
         self._user_camera = False
@@ -313,6 +314,9 @@ class View3D(QWidget):
         return kind in (QEvent.Type.Enter, QEvent.Type.FocusIn, QEvent.Type.FocusOut)
 
     def _on_press(self, event: QMouseEvent) -> bool:
+        if self._drag is not None and event.buttons() & self._button & ~event.button():
+            return True  # what one button began goes on whatever another one does
+        self._button = event.button()
         self.setFocus(Qt.FocusReason.MouseFocusReason)
         self._last = self._press = event.position()
         alt = bool(event.modifiers() & Qt.KeyboardModifier.AltModifier)
@@ -346,6 +350,8 @@ class View3D(QWidget):
         return True
 
     def _on_release(self, event: QMouseEvent) -> bool:
+        if event.button() != self._button:
+            return True
         drag, self._drag = self._drag, None
         here = event.position()
         if drag in ("paint", "pull"):
