@@ -25,7 +25,7 @@ GLANCED, STEPS, STARTS = 150, 8, ("box", "spread")
 BEAM, FINALISTS = 2, 3
 """Sets of parts of which smaller ones are tried, and sets that are looked at closely."""
 
-CLOSELY = 600
+CLOSELY = 300
 """Points of either side by which a set of parts is looked at closely."""
 
 GAIN, BETTER = 1.0, 1.0
