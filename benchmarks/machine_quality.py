@@ -284,8 +284,7 @@ def run(options: argparse.Namespace, family: str, seed: int, gaussian: dict | No
         result["sources"][name] = figures | judge.of_draws(drawer, rng)
         if name == "machine":
             result["classes"] = fine_classes(split, state.machine, rng)
-            mixture = fit_mixture(state.machine, train)
-            result["sliders_percent"] = [100 * d.size for d in directions(state.machine, mixture, train, 4)]
+            result["sliders_percent"] = [100 * d.size for d in directions(state.machine, train, 4)]
         print(f"{family}, seed {seed}, {name}: {time.process_time() - begin:.0f} CPU-seconds", file=sys.stderr)
     return result
 
