@@ -62,13 +62,7 @@ def draw_given(
 
     Raises ValueError for a unit that does not exist, or a point whose part is not to be there.
     """
-    clamped = dict(clamped or {})
-    for (layer, unit), value in clamped.items():
-        if not (0 <= layer < machine.n_layers and 0 <= unit < machine.sizes[layer] and 0 <= value <= 1):
-            raise ValueError(
-                f"clamped: wanted (layer, unit) within layers of {machine.sizes} units and a value in [0, 1], got "
-                f"({layer}, {unit}): {value}; layers and units count from 0"
-            )
+    clamped = _checked(machine, clamped)
     known = np.zeros(0, np.int64) if points is None else np.flatnonzero(np.isfinite(points).all(axis=1))
     on, off = (np.zeros(0, np.int64) if some is None else some for some in (needed, unwanted))
     on = np.union1d(on, np.unique(machine.part[known])).astype(np.int64)
@@ -79,21 +73,9 @@ def draw_given(
             f"exists: wanted the parts that are needed or whose points are given, got none of {missing}; "
             "give no points of parts that the shape is not to have"
         )
-    prefer = np.zeros(len(mixture.codes))
-    layers = mixture.layers(mixture.codes)
-    for (layer, unit), value in clamped.items():
-        q = np.clip(layers[layer][:, unit].astype(float), 1e-4, 1 - 1e-4)
-        prefer += value * np.log(q) + (1 - value) * np.log1p(-q)
-    if len(known):
-        squares = np.concatenate(
-            [
-                ((_points_of(machine, layers[0][first : first + 100])[:, known] - points[known]) ** 2).mean(axis=(1, 2))
-                for first in range(0, len(prefer), 100)
-            ]
-        )
-        prefer -= _tempered(squares)
     count = max(n, ENSEMBLE) if len(known) else n
     if start is None:
+        prefer = _preference(machine, mixture, points, known, clamped)
         codes, states = draw_codes(
             mixture, count, rng=rng, exists=exists, temperature=temperature, prefer=prefer, needed=on, unwanted=off
         )
@@ -105,6 +87,37 @@ def draw_given(
     if len(known):
         latents = _met(machine, latents, points, known, clamped, tolerance, rng)[:n]
     return Draw(machine.to_positions(decode(machine, latents), latents.exists), latents.exists, latents)
+
+
+def _checked(machine: BetaShapeMachine, clamped: Clamped | None) -> dict[tuple[int, int], float]:
+    """The units to hold; raises ValueError for one that does not exist or a value that no unit can have."""
+    held_at = dict(clamped or {})
+    for (layer, unit), value in held_at.items():
+        if not (0 <= layer < machine.n_layers and 0 <= unit < machine.sizes[layer] and 0 <= value <= 1):
+            raise ValueError(
+                f"clamped: wanted (layer, unit) within layers of {machine.sizes} units and a value in [0, 1], got "
+                f"({layer}, {unit}): {value}; layers and units count from 0"
+            )
+    return held_at
+
+
+def _preference(
+    machine: BetaShapeMachine, mixture: Mixture, points: np.ndarray | None, known: np.ndarray, clamped: Clamped
+) -> np.ndarray:
+    """How well each of the family's shapes suits what is known, in nats (T,)."""
+    layers, prefer = mixture.layers(mixture.codes), np.zeros(len(mixture.codes))
+    for (layer, unit), value in clamped.items():
+        q = np.clip(layers[layer][:, unit].astype(float), 1e-4, 1 - 1e-4)
+        prefer += value * np.log(q) + (1 - value) * np.log1p(-q)
+    if len(known):
+        squares = np.concatenate(
+            [
+                ((_points_of(machine, layers[0][first : first + 100])[:, known] - points[known]) ** 2).mean(axis=(1, 2))
+                for first in range(0, len(prefer), 100)
+            ]
+        )
+        prefer -= _tempered(squares)
+    return prefer
 
 
 def between(first: Latents, second: Latents, shares: Sequence[float] | Float[np.ndarray, " n"]) -> Latents:
@@ -181,5 +194,7 @@ def _met(
         first = first + (wanted - seen) @ vary.T @ gain
     found = sigmoid(first).astype(machine.dtype)
     values = expected_values(machine, found)
-    above = infer(machine, values, exists).layers[1:] if machine.n_layers > 1 else ()
-    return Latents((found, *above), exists)
+    layers = (found, *infer(machine, values, exists).layers[1:])
+    for (layer, unit), value in clamped.items():
+        layers[layer][:, unit] = value
+    return Latents(layers, exists)

@@ -85,6 +85,19 @@ def test_clamped_units_stay_and_shapes_suit_them(learned):
         assert np.abs(seen[part]) < 0.2 or np.sign(drawn[part]) == np.sign(seen[part])
 
 
+def test_held_units_stay_where_points_are_given_as_well(learned):
+    _, test, machine, mixture = learned
+    truth, known = landmarks_of(test, 0)
+    given, clamped = np.isfinite(known[:, 0]), {(2, 1): 1.0, (1, 4): 0.0, (0, 3): 1.0}
+    settings = {"points": known, "clamped": clamped, "exists": test.exists[0]}
+    found = draw_given(machine, mixture, 8, rng=np.random.default_rng(0), **settings)
+    for (layer, unit), value in clamped.items():
+        np.testing.assert_allclose(found.latents.layers[layer][:, unit], value, atol=1e-5)
+    free = draw(machine, mixture, 60, rng=np.random.default_rng(0), exists=test.exists[0])
+    missed = [np.linalg.norm(d.points[:, given] - truth[given], axis=2).mean() for d in (found, free)]
+    assert missed[0] < 0.7 * missed[1]
+
+
 def test_what_cannot_be_is_refused(learned):
     _, test, machine, mixture = learned
     with pytest.raises(ValueError, match="clamped"):
