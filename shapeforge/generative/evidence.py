@@ -57,8 +57,8 @@ def draw_given(
     ``points`` (normal coordinates, NaN where nothing is known) are met up to about ``tolerance`` diagonals, as far as
     the family can; their parts exist.  ``clamped`` units stay at their values, and shapes are drawn that suit them.
     ``exists`` asks for these parts; or parts ``needed`` (by index) are there, ``unwanted`` ones are not, and the rest
-    as the family has them.  With ``start`` all are near that shape, and have its parts where none are asked for.
-    ``temperature`` is that of ``draw``.
+    as the family has them; where no shape is like that, as ``structure`` finds likely.  With ``start`` all are near
+    that shape, and have its parts where none are asked for.  ``temperature`` is that of ``draw``.
 
     Raises ValueError for a unit that does not exist, or a point whose part is not to be there.
     """
@@ -77,8 +77,9 @@ def draw_given(
     if start is None:
         prefer = _preference(machine, mixture, points, known, clamped)
         codes, states = draw_codes(
-            mixture, count, rng=rng, exists=exists, temperature=temperature, prefer=prefer, needed=on, unwanted=off
-        )
+            mixture, count, rng=rng, exists=exists, temperature=temperature, prefer=prefer, needed=on, unwanted=off,
+            structure=machine.structure,
+        )  # fmt: skip
     else:
         codes = codes_near(mixture, start, count, rng=rng, temperature=temperature)
         states = np.repeat(start.exists[:1] if exists is None else exists[None], count, axis=0)
