@@ -16,6 +16,7 @@ from shapeforge.generative.draw import Draw, Mixture, codes_near, draw_codes
 from shapeforge.generative.inference import (
     DOWN_ROUNDS,
     Latents,
+    carried,
     decode,
     descend,
     expected_values,
@@ -168,7 +169,7 @@ def held(machine: BetaShapeMachine, layers: tuple[np.ndarray, ...], clamped: Cla
             hold(index)
     after = [m + centre for m, centre in zip(moved, machine.centres, strict=True)]
     free = descend(machine, layers[-1])
-    found = [sigmoid(logit(own) + logit(h) - logit(f)) for own, h, f in zip(layers[:-1], after, free, strict=False)]
+    found = [carried(own, f, h) for own, f, h in zip(layers[:-1], free, after, strict=False)]
     found.append(after[-1])
     for (layer, unit), value in clamped.items():
         found[layer][:, unit] = value

@@ -123,6 +123,17 @@ def descend(
     return *below, top.astype(machine.dtype)
 
 
+def carried(
+    own: Float[np.ndarray, "n _"], before: Float[np.ndarray, "n _"], after: Float[np.ndarray, "n _"]
+) -> Float[np.ndarray, "n _"]:
+    """Probabilities ``own`` of a layer, changed by as much as the layers above change it, from ``before`` to ``after``.
+
+    What the layers above don't explain of a shape stays.  Differences are of probabilities, in which α and β are
+    linear: in logits a unit that is quite on or off on the shape would stay so whatever the layers above say.
+    """
+    return np.clip(own + (after - before), 0, 1)
+
+
 def beta_parameters(
     machine: BetaShapeMachine, hidden1: Float[np.ndarray, "n M"], part: int
 ) -> Float[np.ndarray, "n 2 F"]:

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 
 from shapeforge.generative.inference import (
     Latents,
+    carried,
     decode,
     descend,
     expected_values,
@@ -235,11 +236,9 @@ def _moved(machine: BetaShapeMachine, base: Latents, top_step: np.ndarray, first
     start = slider_logit(base.top).astype(machine.dtype)
     top = sigmoid(start + top_step)
     before, after = descend(machine, sigmoid(start)), descend(machine, top)
-    layers = [
-        logit(own) + logit(b) - logit(a) for own, a, b in zip(base.layers, before[:last], after[:last], strict=False)
-    ]
-    layers[0] = layers[0] + first_step
-    return Latents((*(sigmoid(layer) for layer in layers), top), base.exists)
+    layers = [carried(own, b, a) for own, b, a in zip(base.layers, before[:last], after[:last], strict=False)]
+    layers[0] = sigmoid(logit(layers[0]) + first_step)
+    return Latents((*layers, top), base.exists)
 
 
 def _within_patterns(data: np.ndarray, exists: np.ndarray) -> np.ndarray:
