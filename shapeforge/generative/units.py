@@ -19,7 +19,6 @@ from shapeforge.generative.inference import (
     descend,
     expected_values,
     infer,
-    logit,
     sigmoid,
     slider_logit,
 )
@@ -231,14 +230,18 @@ def _moved(machine: BetaShapeMachine, base: Latents, top_step: np.ndarray, first
     """Latents after steps in the logits of the top (n, O) and of H1 (n, M): the layers below the top keep what it does
     not explain."""
     last = machine.n_layers - 1
-    if last == 0:
-        return Latents((sigmoid(logit(base.first) + top_step + first_step),), base.exists)
-    start = slider_logit(base.top).astype(machine.dtype)
-    top = sigmoid(start + top_step)
-    before, after = descend(machine, sigmoid(start)), descend(machine, top)
-    layers = [carried(own, b, a) for own, b, a in zip(base.layers, before[:last], after[:last], strict=False)]
-    layers[0] = sigmoid(logit(layers[0]) + first_step)
-    return Latents((*layers, top), base.exists)
+    before, after = _stepped(base.top, top_step if last else top_step + first_step)
+    sides = zip(base.layers, descend(machine, before), descend(machine, after), strict=True)
+    layers = [carried(own, b, a) for own, b, a in sides]
+    if last:
+        layers[0] = carried(layers[0], *_stepped(layers[0], first_step))
+    return Latents(tuple(layers), base.exists)
+
+
+def _stepped(layer: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A layer as sliders count it, and after a step in its logits."""
+    start = slider_logit(layer).astype(layer.dtype)
+    return sigmoid(start), sigmoid(start + step)
 
 
 def _within_patterns(data: np.ndarray, exists: np.ndarray) -> np.ndarray:

@@ -10,15 +10,24 @@ from shapeforge.collection.iterate import last
 from shapeforge.generative.baselines import draw_from_components, fit_principal_components, reconstruct_by_components
 from shapeforge.generative.descriptors import describe_shapes
 from shapeforge.generative.draw import _spread_choice, draw, fit_mixture
-from shapeforge.generative.inference import carried, decode, infer
+from shapeforge.generative.inference import Latents, carried, decode, infer
 from shapeforge.generative.joint import family_prior, held_out_errors, is_worse, mostly_falls, shape_prior
 from shapeforge.generative.learning import learn_machine, reconstruction_error, split, vary
 from shapeforge.generative.machine import PARAMETERS, layer_sizes
 from shapeforge.generative.observations import observe
 from shapeforge.generative.paper_form import to_paper
 from shapeforge.generative.scales import Scales
-from shapeforge.generative.units import bundles, directions, drive, middle_shape, single_units
+from shapeforge.generative.units import (
+    Direction,
+    bundles,
+    directions,
+    drive,
+    drive_latents,
+    middle_shape,
+    single_units,
+)
 from tests.generative.synthetic import PART_NAMES, chair_family
+from tests.generative.tiny import tiny_machine
 
 
 @pytest.fixture(scope="module")
@@ -149,6 +158,22 @@ def test_a_unit_that_is_quite_on_turns_off_when_the_layers_above_say_so():
     own, before, after = np.array([[1.0, 0.9, 0.3, 0.0]]), np.full((1, 4), 0.9), np.array([[0.1, 0.9, 0.1, 0.1]])
     np.testing.assert_allclose(carried(own, before, after), [[0.2, 0.9, 0.0, 0.0]])
     np.testing.assert_array_equal(carried(own, before, before), own)
+
+
+@pytest.mark.parametrize("above", [(), (3,), (3, 2)])
+def test_a_slider_at_rest_changes_no_unit_and_a_unit_goes_where_its_slider_says(above):
+    machine, observations = tiny_machine(np.random.default_rng(0), above=above)
+    units = machine.sizes[0]
+    base = Latents(
+        (np.array([[1.0, 0.0, 0.5, 0.999999]]), *(np.full((1, n), 0.3) for n in above)), np.ones((1, 2), bool)
+    )
+    few = np.zeros(1)
+    sliders = [Direction("", "", "unit", row, -1.0, 1.0, few, few, few, (), i) for i, row in enumerate(np.eye(units))]
+    _, still = drive_latents(machine, base, {0: 0.0}, directions=sliders)
+    for own, after in zip(base.layers, still.layers, strict=True):
+        np.testing.assert_array_equal(own, after)
+    _, moved = drive_latents(machine, base, {0: -12.0, 3: -12.0}, directions=sliders)
+    assert moved.first[0, [0, 3]].max() < 0.01, "a unit that was quite on is off"
 
 
 def test_sliders_move_what_their_caption_says(family, learned, mixture):
