@@ -23,7 +23,10 @@ WIDTH = 0.5
 """Standard deviation of a kernel, as a share of that of the shapes with the same parts, where no two shapes are there
 to tell (see ``fit_mixture``)."""
 
-WIDTHS = (0.05, 1.0)
+WIDTHS = (0.05, 0.5**0.5)
+"""Between these the width is looked for.  At the widest a draw owes half to the shape that it starts from; where shapes
+have so much of their own that no width makes draws as new as they are, still wider ones are merely unlike them."""
+
 WIDTH_STEPS = 6
 TRIED, COMPARED = 200, 400
 """Draws by which the width is found, and points of each that are compared."""

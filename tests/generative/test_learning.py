@@ -146,6 +146,14 @@ def test_draws_are_as_new_as_the_familys_own_shapes_are_to_each_other(family, le
     assert away(decode(machine, narrow.latents), narrow.exists, 0) < 0.6 * usual
 
 
+def test_draws_owe_half_to_a_shape_where_shapes_have_too_much_of_their_own(family, learned):
+    """Noise on every point, as of a fit: no width can make draws, which are smooth, as new as that."""
+    train, rng = family[0], np.random.default_rng(0)
+    noisy = np.clip(train.values + rng.normal(0, 0.05, train.values.shape), 0.02, 0.98).astype(np.float32)
+    width = fit_mixture(learned.machine, replace(train, values=noisy)).width
+    assert 0.45 < width**2 <= 0.5
+
+
 def test_draw_with_parts_asked_for(learned, mixture):
     wanted = np.array([True, True, True, False, False, False])
     drawn = draw(learned.machine, mixture, 5, rng=np.random.default_rng(0), exists=wanted)
