@@ -138,7 +138,8 @@ LEAST_UNITS = 40
 """Units of H1 that a part gets however few its points: a tailplane of 40 points varies no less than one of 400."""
 
 SMALL_FAMILY = 200
-"""Shapes up to which two layers explain held-out shapes better than three (docs/paper.md)."""
+"""Shapes up to which two layers give back held-out shapes better than three, from H1 as from the top; with more three
+are better from H1, which draws and sliders start from (docs/paper.md)."""
 
 Sizes = tuple[list[int] | int, ...]
 """Units of every layer: of H1 a list, one number per part; of each further layer a number."""
