@@ -137,7 +137,7 @@ def _map(value, change):
 LEAST_UNITS = 40
 """Units of H1 that a part gets however few its points: a tailplane of 40 points varies no less than one of 400."""
 
-SMALL_FAMILY = 200
+SMALL_FAMILY = 150
 """Shapes up to which two layers give back held-out shapes better than three, from H1 as from the top; with more three
 are better from H1, which draws and sliders start from (docs/paper.md)."""
 

@@ -279,8 +279,8 @@ def test_small_parts_get_units_of_their_own():
 
 
 def test_a_small_family_gets_two_layers_unless_asked():
-    assert len(layer_sizes([40, 400], 200)) == 2 and len(layer_sizes([40, 400], 201)) == 3
-    assert len(layer_sizes([40, 400], 200, layers=4)) == 4
+    assert len(layer_sizes([40, 400], 150)) == 2 and len(layer_sizes([40, 400], 151)) == 3
+    assert len(layer_sizes([40, 400], 150, layers=4)) == 4
 
 
 def test_descriptors_tell_classes_apart(family, learned):
