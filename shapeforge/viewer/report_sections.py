@@ -262,7 +262,8 @@ def directions(project: Any) -> str:
             for points, shown in ((low, colours), (half, between), (high, colours))
         ]
         words = ("at 0", "at ½", "at 1") if of_bundle else ("low end", "what moves", "high end")
-        three = "".join(image(p, f"{direction.name}, {w}") for p, w in zip(pictures, words, strict=True))
+        shown = zip(pictures, words, strict=True)
+        three = "".join(f"<span>{image(p, f'{direction.name}, {w}')}<small>{w}</small></span>" for p, w in shown)
         bars = svg.histogram(
             direction.histogram, direction.edges, title="shapes of the family along this slider", width=450
         )

@@ -99,7 +99,8 @@ def test_page_stands_alone_and_is_whole(whole):
 
 
 def test_every_shape_is_there_three_times_and_looks_different(whole):
-    page = Page(report_text(whole))
+    text = report_text(whole)
+    page = Page(text)
     by_alt = {image["alt"]: picture for image, picture in pictures_of(page)}
     for name in whole.names:
         given, parts, places = (by_alt[f"{name}, {words}"] for words in ("as given", "parts", "correspondence"))
@@ -114,6 +115,7 @@ def test_every_shape_is_there_three_times_and_looks_different(whole):
     for shown, words in ((whole.directions(), ("low end", "high end")), (found, ("at 0", "at ½", "at 1"))):
         assert shown and all(f"{one.name}, {end}" in by_alt for one in shown for end in words)
         assert sum(image["alt"].endswith(words[0]) for image in page.images) == len(shown)
+        assert all(text.count(f"<small>{end}</small>") == len(shown) for end in words)
     low, half, high = (by_alt[f"{found[0].name}, {end}"].astype(int) for end in ("at 0", "at ½", "at 1"))
     assert not np.array_equal(low, half) and not np.array_equal(half, high), "a bundle must be seen to do something"
     for name in whole.draws()["names"]:
