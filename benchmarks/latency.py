@@ -28,7 +28,7 @@ import numpy as np
 import pyvista as pv
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from benchmarks.synthesis_quality import TrueFamily, true_family
+from benchmarks.true_family import TrueFamily, true_family
 from shapeforge.collection.iterate import last
 from shapeforge.collection.shape import Mesh
 from shapeforge.generative.inference import infer

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.synthesis_quality import true_family
+from benchmarks.true_family import true_family
 from shapeforge.collection.iterate import last
 from shapeforge.generative.observations import Observations, observe
 from shapeforge.stages import run

@@ -14,7 +14,7 @@ PLAIN = (160, 160, 160)
 """Of faces without a material, or whose material has no colour."""
 _LIBRARY = re.compile(rb"^[ \t]*mtllib[ \t]+([^\r\n]*)", re.MULTILINE)
 _STATEMENT = re.compile(rb"^[ \t]*(f|usemtl)[ \t]+([^\r\n]*)", re.MULTILINE)
-_MATERIAL = re.compile(r"^\s*(newmtl|Kd|map_Kd)\s+(.*?)\s*$", re.MULTILINE)
+_MATERIAL = re.compile(r"^[ \t]*(newmtl|Kd|map_Kd)(?:[ \t]+(.*?))?[ \t\r]*$", re.MULTILINE)
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]+([^\r\n#]*)", re.MULTILINE)
 _WITHIN = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
 """Where in a triangle a texture is looked at (barycentric coordinates)."""
@@ -80,14 +80,14 @@ def mean_colour(library: Path, words: str) -> tuple[int, int, int] | None:
     """
     from PIL import Image
 
-    names = [Path(name.replace("\\", "/")).name for name in (words, words.split()[-1])]
-    file = next((f for f in (library.with_name(name) for name in names if name) if f.is_file()), None)
-    if file is None:
-        return None
+    names = [Path(name.replace("\\", "/")).name for name in (words, *words.split()[-1:])]
     try:
+        file = next((f for f in (library.with_name(name) for name in names if name) if f.is_file()), None)
+        if file is None:
+            return None
         with warnings.catch_warnings(action="error"), Image.open(file) as picture:
             red, green, blue = picture.convert("RGB").resize((1, 1), Image.Resampling.BOX).getpixel((0, 0))
-    except Exception:  # a picture that cannot be read is no reason to refuse the mesh
+    except Exception:  # a picture that cannot be found or read is no reason to refuse the mesh
         return None
     return red, green, blue
 
@@ -109,10 +109,10 @@ def obj_vertex_colours(data: bytes, n_vertices: int) -> UInt8[np.ndarray, "V 3"]
 def as_colours(values: Real[np.ndarray, "n 3"], kind: str = "") -> UInt8[np.ndarray, "n 3"]:
     """Numbers of a file as red, green, blue: from 0 to 1 where they are real numbers, else to 255 (16 bits: 65535).
 
-    ``kind`` is numpy's code; without one (text) numbers up to 1, some of which are no whole ones, are real.
+    ``kind`` is numpy's code; without one (text) they are real if none is above 1: nobody counts to 1 of 255.
     """
     values = np.nan_to_num(np.asarray(values, float), posinf=0.0, neginf=0.0)
-    real = kind.startswith("f") or (not kind and bool((values != np.floor(values)).any()))
+    real = kind.startswith("f") or not kind
     if real and values.max(initial=0.0) <= 1.0:
         values = 255 * values
     elif kind in ("u2", "i2"):
@@ -141,14 +141,22 @@ def gltf_colours(geometry: Any) -> UInt8[np.ndarray, "F 3"] | None:
     if visual.kind != "texture" or visual.material is None:
         return None
     material = visual.material
-    image, uv = getattr(material, "baseColorTexture", None), visual.uv
+    image, uv = _decoded(getattr(material, "baseColorTexture", None)), visual.uv
     shade = np.ones((len(faces), 3))
     if getattr(material, "baseColorFactor", None) is not None:
         shade *= np.asarray(material.main_color)[:3] / 255
     elif image is None:
         return None
     if image is not None and uv is not None and len(uv) == len(geometry.vertices):
-        looked = [uv_to_color(np.einsum("c,ncd->nd", at, np.asarray(uv)[faces]), image.convert("RGB"))[:, :3]
+        looked = [uv_to_color(np.einsum("c,ncd->nd", at, np.asarray(uv)[faces]), image)[:, :3]
                   for at in _WITHIN]  # fmt: skip
         shade *= np.mean(looked, axis=0) / 255
     return as_colours(shade, "f8")
+
+
+def _decoded(image: Any) -> Any:
+    """A picture as RGB; None without one, or where it is damaged, which shows only now: pictures are read on demand."""
+    try:
+        return None if image is None else image.convert("RGB")
+    except (OSError, SyntaxError, ValueError):
+        return None

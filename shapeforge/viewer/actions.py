@@ -259,55 +259,54 @@ def _stage_actions(actions: Actions) -> list[Action]:
     def running(session: Session) -> Verdict:
         return YES if session.running else (False, "Nothing is running.")
 
-    def fit_enabled(session: Session) -> Verdict:
-        if session.running and session.stage == "fit":
-            return YES
-        return stage_verdict(actions.session, "fit")
-
-    def run_or_pause(session: Session) -> None:
-        if session.running:
-            actions.desk.control("resume" if session.is_paused else "pause")
-        else:
-            actions.start_stage("fit", restart=is_done("fit"), **options(session))
-
-    def options(session: Session) -> dict[str, Any]:
-        found = stage_status(session).get("fit")
-        going_on = found is not None and found.state == "partial"
-        return fit_options(session) | ({} if going_on else {"warm": False})
-
-    def refit_enabled(session: Session) -> Verdict:
-        can, why = needs_rest(session)
-        why = corrected(session).why if can else why
-        return not why, why
-
-    def is_done(stage: str) -> bool:
-        found = stage_status(actions.session).get(stage)
-        return found is not None and found.state == "done"
-
-    def step(session: Session) -> None:
-        if session.running:
-            actions.desk.control("step")
-        else:
-            actions.start_stage("fit", restart=is_done("fit"), **options(session))
-            actions.desk.control("step")
-
     return [
         Action("group", "Group the shapes", starter("group"), lambda s: stage_verdict(s, "group"), "",
                "Find groups of similar shapes and an exemplar of each", "collection"),
         Action("cosegment", "First parts automatically", starter("cosegment"),
                lambda s: stage_verdict(s, "cosegment"), "", "Propose parts without painting", "piece"),
-        Action("fit", "Run", run_or_pause, fit_enabled, "Space",
-               "Fit the part templates to every shape; it can be paused and goes on where it was", "play", "fit"),
-        Action("refit", "Refit from here", lambda session: actions.start_stage("fit", warm=True), refit_enabled,
-               "Shift+R", "Find what is new or corrected, and go on with all others from where they are", "swap",
-               "fit"),
-        Action("step", "Step", step, fit_enabled, ".", "One round, then pause", "step", "fit"),
+        *_fit_actions(actions),
         Action("stop", "Stop", lambda session: actions.desk.control("stop"), running, "Ctrl+.",
                "Stop after the present step; what is done is kept", "stop"),
         Action("learn", "Learn the family", starter("learn"), lambda s: stage_verdict(s, "learn"), "",
                "Learn the generative model from the fitted shapes", "synthesize"),
         Action("refine", "Refine", starter("refine"), lambda s: stage_verdict(s, "refine"), "",
                "Fit and learn in turns, three times", "swap"),
+    ]  # fmt: skip
+
+
+def _fit_actions(actions: Actions) -> list[Action]:
+    def start(session: Session) -> None:
+        found = stage_status(session).get("fit")
+        state = None if found is None else found.state
+        going_on = {} if state == "partial" else {"warm": False}
+        actions.start_stage("fit", restart=state == "done", **fit_options(session) | going_on)
+
+    def fit_enabled(session: Session) -> Verdict:
+        return YES if session.running and session.stage == "fit" else stage_verdict(session, "fit")
+
+    def run_or_pause(session: Session) -> None:
+        if session.running:
+            actions.desk.control("resume" if session.is_paused else "pause")
+        else:
+            start(session)
+
+    def step(session: Session) -> None:
+        if not session.running:
+            start(session)
+        actions.desk.control("step")
+
+    def refit_enabled(session: Session) -> Verdict:
+        can, why = needs_rest(session)
+        why = corrected(session).why if can else why
+        return not why, why
+
+    return [
+        Action("fit", "Run", run_or_pause, fit_enabled, "Space",
+               "Fit the part templates to every shape; it can be paused and goes on where it was", "play", "fit"),
+        Action("refit", "Refit from here", lambda session: actions.start_stage("fit", warm=True), refit_enabled,
+               "Shift+R", "Find what is new or corrected, and go on with all others from where they are", "swap",
+               "fit"),
+        Action("step", "Step", step, fit_enabled, ".", "One round, then pause", "step", "fit"),
     ]  # fmt: skip
 
 

@@ -65,6 +65,8 @@ class Sculptor:
             return False
         self._key = key
         self.machine = None if project is None else project.machine()
+        with self.session.events.blocked():  # points and sliders of another machine mean nothing any more
+            self.session.pins, self.session.locked = {}, frozenset()
         if self.machine is None:
             return True
         self.mixture, self.observations = project.mixture(), project.observations()
@@ -127,11 +129,8 @@ class Sculptor:
 
     def drawn(self) -> Recipe:
         """The recipe of a draw: pins, locked sliders and switched parts are kept to."""
-        base, session = self.random_base(), self.session
-        return Recipe(
-            "random", base, parts_on=dict(session.parts_on), origin=f"draw {self.draws}", pins=dict(session.pins),
-            locked=session.locked,
-        )  # fmt: skip
+        base = self.random_base()
+        return Recipe("random", base, origin=f"draw {self.draws}", **self._now() | {"sliders": self.kept(base)})
 
     def base_of(self, name: str) -> Latents:
         """The latents of a shape of the family."""
@@ -163,7 +162,8 @@ class Sculptor:
     def as_kept(self) -> bool:
         """The shape in hand is as the history has it."""
         now, recipe = self._now(), self.recipe
-        return all(now[name] == getattr(recipe, name) for name in ("sliders", "parts_on", "pins"))
+        asked = ("sliders", "parts_on", "pins", *(["locked"] if self.pinned() else []))
+        return all(now[name] == getattr(recipe, name) for name in asked)
 
     def _now(self) -> dict[str, Any]:
         session = self.session

@@ -62,26 +62,39 @@ def curve(
         )
     for one, line in zip(series, lines, strict=True):
         there = np.isfinite(line)
-        points = [place(a, b) for a, b in zip(x[there], line[there], strict=True)]
-        path = " ".join(f"{a},{b}" for a, b in points)
-        parts.append(f'<polyline points="{path}" fill="none" stroke="{one.colour}" stroke-width="2"/>')
-        if len(points) <= 40:
-            parts += [f'<circle cx="{a}" cy="{b}" r="2.6" fill="{one.colour}"/>' for a, b in points]
-    parts.append(
-        f'<text class="label" x="{LEFT + inner[0] / 2}" y="{height - 6}" text-anchor="middle">{escape(x_label)}</text>'
-    )
-    middle = top + inner[1] / 2
-    parts.append(
-        f'<text class="label" x="14" y="{middle}" text-anchor="middle" transform="rotate(-90 14 {middle})">'
-        f"{escape(y_label)}</text>"
-    )
+        parts += _line([place(a, b) for a, b in zip(x[there], line[there], strict=True)], one.colour)
+    parts += _axis_labels(x_label, y_label, LEFT + inner[0] / 2, top + inner[1] / 2, height)
     if len(series) > 1:
-        across = width - RIGHT
-        for one in reversed(series):
-            across -= 7 * len(one.name) + 24
-            parts.append(f'<circle cx="{across}" cy="{TOP}" r="4" fill="{one.colour}"/>')
-            parts.append(f'<text class="tick" x="{across + 8}" y="{TOP + 4}">{escape(one.name)}</text>')
+        parts += _names(series, width - RIGHT)
     return "".join(parts) + "</svg>"
+
+
+def _line(points: Sequence[tuple[float, float]], colour: str) -> list[str]:
+    """A line through ``points`` (pixels), each marked by a dot if they are few."""
+    path = " ".join(f"{a},{b}" for a, b in points)
+    found = [f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="2"/>']
+    if len(points) <= 40:
+        found += [f'<circle cx="{a}" cy="{b}" r="2.6" fill="{colour}"/>' for a, b in points]
+    return found
+
+
+def _axis_labels(x_label: str, y_label: str, across: float, middle: float, height: int) -> list[str]:
+    """The words below and, upright, beside a plot whose middle is at (``across``, ``middle``)."""
+    return [
+        f'<text class="label" x="{across}" y="{height - 6}" text-anchor="middle">{escape(x_label)}</text>',
+        f'<text class="label" x="14" y="{middle}" text-anchor="middle" transform="rotate(-90 14 {middle})">'
+        f"{escape(y_label)}</text>",
+    ]
+
+
+def _names(series: Sequence[Series], right: float) -> list[str]:
+    """The names of the lines, the last one ending at ``right``."""
+    found, across = [], right
+    for one in reversed(series):
+        across -= 7 * len(one.name) + 24
+        found.append(f'<circle cx="{across}" cy="{TOP}" r="4" fill="{one.colour}"/>')
+        found.append(f'<text class="tick" x="{across + 8}" y="{TOP + 4}">{escape(one.name)}</text>')
+    return found
 
 
 def histogram(

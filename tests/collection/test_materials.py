@@ -127,6 +127,9 @@ def test_faces_of_off_may_have_colours_of_either_kind(tmp_path: Path) -> None:
                  for i, (a, b, c) in enumerate(mesh.faces)]  # fmt: skip
         (tmp_path / "x.off").write_text("\n".join(rows))
         assert np.array_equal(read_mesh(tmp_path / "x.off").colours, RANDOM)
+    pure = [row if i < 10 else f"{' '.join(row.split()[:4])} 1 0 0" for i, row in enumerate(rows)]
+    (tmp_path / "x.off").write_text("\n".join(pure))
+    assert (read_mesh(tmp_path / "x.off").colours == (255, 0, 0)).all(), "whole numbers up to 1 are shares, too"
     (tmp_path / "x.off").write_text("\n".join(row.rpartition(" ")[0] if i > 9 else row for i, row in enumerate(rows)))
     assert read_mesh(tmp_path / "x.off").colours is None, "two numbers are no colour"
 
@@ -167,6 +170,26 @@ def test_a_glb_whose_texture_is_damaged_is_read_without(tmp_path: Path) -> None:
     data = trimesh.exchange.gltf.export_glb(trimesh.Scene(mesh))
     (tmp_path / "x.glb").write_bytes(data.replace(b"PNG", b"XXX").replace(b"IHDR", b"XXXX"))
     assert read_mesh(tmp_path / "x.glb").n_faces == 12
+
+
+def test_a_glb_whose_texture_breaks_off_keeps_its_base_colour(tmp_path: Path) -> None:
+    """The header of the picture is sound, so that the damage is met only when it is looked at."""
+    noise = Image.fromarray(np.random.default_rng(0).integers(0, 256, (64, 64, 3)).astype(np.uint8))
+    for factor, wanted in (([10, 20, 30, 255], (10, 20, 30)), (None, None)):
+        mesh, material = box(), PBRMaterial(baseColorTexture=noise, baseColorFactor=factor)
+        mesh.visual = TextureVisuals(uv=np.zeros((8, 2)), material=material)
+        data = trimesh.exchange.gltf.export_glb(trimesh.Scene(mesh))
+        middle = data.index(b"IDAT") + 500
+        (tmp_path / "x.glb").write_bytes(data[:middle] + bytes(2000) + data[middle + 2000 :])
+        colours = read_mesh(tmp_path / "x.glb").colours
+        assert colours is None if wanted is None else (colours == wanted).all()
+
+
+@pytest.mark.parametrize("words", ["", " ", " -clamp on", " ..", " /", " a\0b.png", f" {'x' * 400}.png"])
+def test_a_texture_that_names_no_file_is_no_reason_to_refuse_the_mesh(tmp_path: Path, words: str) -> None:
+    """Material libraries are often cut short by exporters; the material's own colour counts then."""
+    read = colours_of(tmp_path, library=f"newmtl oak\nmap_Kd{words}\nKd 1 0 0\n")
+    assert read[1].tolist() == [255, 0, 0]
 
 
 def test_an_obj_material_with_a_texture_has_its_mean_colour(tmp_path: Path) -> None:

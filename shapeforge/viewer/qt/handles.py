@@ -146,6 +146,8 @@ class Handles:
             point = nearest_point(self.points, pick.position)
         if point is None and not self.session.pins:
             return
+        if self.menu is not None:
+            self.menu.deleteLater()
         self.menu = menu = QMenu(self.view)
         if point is not None and point in self.session.pins:
             menu.addAction("Take the pin away", lambda: self.unpin(point))

@@ -23,6 +23,7 @@ from shapeforge.viewer.qt.widgets import (
     button,
     clear,
     column,
+    framed,
     label,
     row,
     scrolled,
@@ -57,10 +58,24 @@ class SynthesizeInspector(QFrame):
         self.rows: list[DirectionRow] = []
         self.switches: dict[int, Switch] = {}
         self.swatches: dict[int, Swatch] = {}
+        self._part = 0
+        family, self.pins = self._make_family(), PinSection(sculptor, actions, binding)
+        directions, parts = self._blocks = self._make_directions(actions, binding), self._make_parts(actions, binding)
+        self.draws, self.mesh = DrawSection(session), MeshSection()
+        stale = stale_note(actions, binding, "learn", "learn", "Learn again")
+        self._sections = scrolled(stale, family, self.pins, directions, parts, self.draws, self.mesh)
+        self._empty, self._foot = QWidget(), self._make_foot(actions, binding)
+        inside = column(self._sections, self._empty, self._foot, spacing=0)
+        inside.setStretch(0, 1)
+        inside.setStretch(1, 1)
+        self.setLayout(inside)
+
+    def _make_family(self) -> QWidget:
         self.map = FamilyMap()
         self.map.chosen.connect(lambda i: self.shape_chosen.emit(self.sculptor.shape_names[i]))
-        family = section(row(label("Family", "heading"), None, label("click to go there", "caption")), self.map)
-        self.pins = PinSection(sculptor, actions, binding)
+        return section(row(label("Family", "heading"), None, label("click to go there", "caption")), self.map)
+
+    def _make_directions(self, actions: Actions, binding: Binding) -> QWidget:
         self.direction_count = label("", "off")
         reset = action_button(actions, "reset_sliders", binding, kind="link", icon=False)
         head = row(label("Directions", "heading"), self.direction_count, None, reset, margins=(16, 12, 16, 4))
@@ -70,56 +85,30 @@ class SynthesizeInspector(QFrame):
         self.finer_rows = QWidget()
         self.finer_rows.setLayout(column(spacing=0))
         self.finer_rows.setVisible(False)
+        more = row(self.finer, None, margins=(16, 4, 16, 12))
         directions = QWidget()
-        directions.setLayout(
-            column(
-                head,
-                self.direction_rows,
-                row(self.finer, None, margins=(16, 4, 16, 12)),
-                self.finer_rows,
-                separator(),
-                spacing=0,
-            )
-        )
+        directions.setLayout(column(head, self.direction_rows, more, self.finer_rows, separator(), spacing=0))
+        return directions
+
+    def _make_parts(self, actions: Actions, binding: Binding) -> QWidget:
         self.part_rows = column(spacing=8)
         self.part_note = label("", "caption", wrap=True)
         self.part_to_take = Choice("", (), "", tooltip="A part to take from a shape of your choice")
         self.part_to_take.chosen.connect(lambda part: self._show_taken(int(part)))
         self.take_from = Choice("", (), "", tooltip="The shape whose part is bent to this place")
         self.take_from.chosen.connect(lambda name: self.taken.emit(self._part, name))
-        self._part = 0
         mixing = column(
             row(label("Take the part"), None, self.part_to_take), row(label("from"), None, self.take_from), spacing=4
         )
-        reset_parts = action_button(actions, "reset_parts", binding, kind="link", icon=False)
-        parts = section(row(label("Parts", "heading"), None, reset_parts), self.part_rows, self.part_note, mixing)
-        self.draws = DrawSection(session)
-        self.mesh = MeshSection()
+        reset = action_button(actions, "reset_parts", binding, kind="link", icon=False)
+        return section(row(label("Parts", "heading"), None, reset), self.part_rows, self.part_note, mixing)
+
+    def _make_foot(self, actions: Actions, binding: Binding) -> QFrame:
         self.export = action_button(actions, "export_mesh", binding, kind="primary")
-        foot = QFrame()
-        foot.setObjectName("bar")
-        foot.setLayout(
-            column(
-                row(
-                    self.export,
-                    action_button(actions, "export_picture", binding, text="", kind="tool"),
-                    action_button(actions, "export_movie", binding, text="", kind="tool"),
-                    spacing=6,
-                ),
-                label("glb, part names and a recipe to remake it", "caption"),
-                spacing=8,
-                margins=(16, 12, 16, 14),
-            )
-        )
-        stale = stale_note(actions, binding, "learn", "learn", "Learn again")
-        self._sections = scrolled(stale, family, self.pins, directions, parts, self.draws, self.mesh)
-        self._empty = QWidget()
-        self._foot = foot
-        inside = column(self._sections, self._empty, foot, spacing=0)
-        inside.setStretch(0, 1)
-        inside.setStretch(1, 1)
-        self.setLayout(inside)
-        self._blocks = (directions, parts)
+        names = "export_picture", "export_movie"
+        others = [action_button(actions, name, binding, text="", kind="tool") for name in names]
+        words = label("glb, part names and a recipe to remake it", "caption")
+        return framed(column(row(self.export, *others, spacing=6), words, spacing=8, margins=(16, 12, 16, 14)), "bar")
 
     def fill(self) -> None:
         """Rows for the sliders and parts of the family there is now."""

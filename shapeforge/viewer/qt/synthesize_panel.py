@@ -265,9 +265,9 @@ class SynthesizePlace:
         self.after_step()
 
     def take_up(self, recipe: Recipe) -> None:
-        """Go on with another shape; locked sliders keep their place."""
+        """Go on with another shape; locked sliders keep their place.  One with pins brings its own locks along."""
         self.between.end()
-        kept = self.sculptor.kept(recipe.base)
+        kept = {} if recipe.pins else self.sculptor.kept(recipe.base)
         self.sculptor.start(replace(recipe, sliders={**recipe.sliders, **kept}))
         self.wanted()
         self.view.fit_again()

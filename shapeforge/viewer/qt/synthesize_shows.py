@@ -199,13 +199,7 @@ class Shows:
         recipes, names, wanted = [], [], []
         sculptor = place.sculptor
         for number in range(CARDS):
-            drawn = sculptor.drawn()
-            drawn = replace(
-                drawn,
-                sliders=sculptor.kept(drawn.base),
-                route=sculptor.recipe.route,
-                union=sculptor.recipe.union,
-            )
+            drawn = replace(sculptor.drawn(), route=sculptor.recipe.route, union=sculptor.recipe.union)
             recipes.append(drawn)
             names.append(drawn.origin)
             wanted.append(Wish(number, sculptor.points(drawn), sculptor.exists(drawn), True, route=drawn.route))
