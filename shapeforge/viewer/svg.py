@@ -87,7 +87,7 @@ def _axis_labels(x_label: str, y_label: str, across: float, middle: float, heigh
     ]
 
 
-def _names(series: Sequence[Series], right: float) -> list[str]:
+def _names(series: Sequence[Series], right: int) -> list[str]:
     """The names of the lines, the last one ending at ``right``."""
     found, across = [], right
     for one in reversed(series):
