@@ -29,10 +29,15 @@ def curve(
     y_label: str,
     title: str,
     from_zero: bool = False,
+    phases: tuple[float, str, str] | None = None,
     width: int = 560,
     height: int = 240,
 ) -> str:
-    """Lines over ``at`` with ticks, axis labels (units belong into them) and, for more than one line, their names."""
+    """Lines over ``at`` with ticks, axis labels (units belong into them) and, for more than one line, their names.
+
+    ``phases`` are a place of ``at`` and what comes before and after it: there stands a line that none of the lines
+    crosses, as what they tell of is not the same on its two sides.
+    """
     x = np.asarray(at, dtype=float)
     lines = [np.asarray(one.values, dtype=float) for one in series]
     if not lines or any(len(line) != len(x) for line in lines):
@@ -43,7 +48,7 @@ def curve(
     ticks = nice_ticks(min(float(known.min()), 0.0) if from_zero else float(known.min()), float(known.max()))
     low, high = ticks[0], ticks[-1]
     x_low, x_high = float(x.min()), float(x.max()) if x.max() > x.min() else float(x.min()) + 1
-    top = TOP + 20 * (len(series) > 1)  # room for the names
+    top = TOP + 20 * (len(series) > 1) + 16 * (phases is not None)  # room for the names
     inner = (width - LEFT - RIGHT, height - top - BOTTOM)
 
     def place(a: float, b: float) -> tuple[float, float]:
@@ -62,11 +67,21 @@ def curve(
         )
     for one, line in zip(series, lines, strict=True):
         there = np.isfinite(line)
-        points = [place(a, b) for a, b in zip(x[there], line[there], strict=True)]
-        path = " ".join(f"{a},{b}" for a, b in points)
-        parts.append(f'<polyline points="{path}" fill="none" stroke="{one.colour}" stroke-width="2"/>')
-        if len(points) <= 40:
-            parts += [f'<circle cx="{a}" cy="{b}" r="2.6" fill="{one.colour}"/>' for a, b in points]
+        divider = np.inf if phases is None else phases[0]
+        for run in (there & (x < divider), there & (x >= divider)):
+            points = [place(a, b) for a, b in zip(x[run], line[run], strict=True)]
+            path = " ".join(f"{a},{b}" for a, b in points)
+            if points:
+                parts.append(f'<polyline points="{path}" fill="none" stroke="{one.colour}" stroke-width="2"/>')
+            if there.sum() <= 40:
+                parts += [f'<circle cx="{a}" cy="{b}" r="2.6" fill="{one.colour}"/>' for a, b in points]
+    if phases is not None:
+        across, (_, before, after) = place(phases[0], low)[0], phases
+        parts.append(f'<line class="divider" x1="{across}" x2="{across}" y1="{top - 16}" y2="{top + inner[1]}"/>')
+        for words, x_words, anchor in ((before, across - 8, "end"), (after, across + 8, "start")):
+            parts.append(
+                f'<text class="tick" x="{x_words}" y="{top - 6}" text-anchor="{anchor}">{escape(words)}</text>'
+            )
     parts.append(
         f'<text class="label" x="{LEFT + inner[0] / 2}" y="{height - 6}" text-anchor="middle">{escape(x_label)}</text>'
     )
