@@ -70,6 +70,8 @@ def _onto_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return own @ turn.T, normals @ turn.T
 
 
+_WHOLE_STARTS: dict[str, object] = {f"{room}.partial_starts": lambda *_: [] for room in ("starts", "family")}
+
 ABLATIONS: dict[str, tuple[str, dict[str, object]]] = {
     "no-phi1": ("without φ1, nearness", _without("unary")),
     "no-phi2": ("without φ2, smoothness", _without("smooth")),
@@ -81,8 +83,10 @@ ABLATIONS: dict[str, tuple[str, dict[str, object]]] = {
         {
             "shape_fit.switch_off_missing": lambda *given: given[4],
             "shape_fit.switch_off_spare": lambda *given: (given[4], given[2], given[3]),
+            **_WHOLE_STARTS,
         },
     ),
+    "whole-starts": ("starts with all parts only", _WHOLE_STARTS),
     "one-map": ("one map for all parts", {"shape_fit.update_maps": _one_map}),
     "no-annealing": ("no annealing", {"fit.ANNEALING": 1.0, "family.sigma_of_round": lambda *_: HUGE}),
     "boxes": (

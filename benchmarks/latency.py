@@ -31,7 +31,6 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from benchmarks.true_family import TrueFamily, true_family
 from shapeforge.collection.iterate import last
 from shapeforge.collection.shape import Mesh
-from shapeforge.generative.draw import fit_mixture
 from shapeforge.generative.inference import infer
 from shapeforge.generative.learning import learn_machine
 from shapeforge.generative.observations import observe
@@ -180,7 +179,7 @@ class Moves:
         self.rng = np.random.default_rng(seed)
         observations = observe(family.positions, family.part, family.part_names)
         self.machine = last(learn_machine(observations, rng=self.rng, epochs=2)).machine
-        self.directions = directions(self.machine, fit_mixture(self.machine, observations), observations)
+        self.directions = directions(self.machine, observations)
         sizes = np.array([len(shape.mesh.triangles) for shape in family.shapes])
         index = int(np.abs(sizes - RESULT).argmin())
         self.base = infer(self.machine, observations.values[[index]], observations.exists[[index]])

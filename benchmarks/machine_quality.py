@@ -29,6 +29,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import takewhile
 from pathlib import Path
 
@@ -161,11 +162,11 @@ def of_baseline(name: str, split: Split, gaussian: dict | None, rng: np.random.G
     if name == "Gaussian DBM":
         machine = fit_gaussian_machine(train, rng=rng, **gaussian)
         again = reconstruct_by_gaussian_machine(machine, test)
-        draws = lambda n: draw_from_gaussian_machine(machine, n, rng=rng)  # noqa: E731
+        draws = partial(draw_from_gaussian_machine, machine, rng=rng)
     else:
         model = fit_principal_components(train)
         again = reconstruct_by_components(model, test)
-        draws = lambda n: draw_from_components(model, n, rng=rng, kernel=name == "KDE")  # noqa: E731
+        draws = partial(draw_from_components, model, rng=rng, kernel=name == "KDE")
 
     def drawer(n: int) -> tuple[np.ndarray, np.ndarray]:
         values, exists = draws(n)
@@ -203,9 +204,13 @@ class Judge:
         """How far the shares of combinations are off, and how many have one that no shape of the family has."""
         seen, held_out = self.parts
         possible = {tuple(row) for rows in self.parts for row in rows}
-        share = lambda rows, pattern: float((rows == pattern).all(axis=1).mean())  # noqa: E731
-        gaps = [abs(share(drawn, pattern) - share(seen, pattern)) for pattern in np.unique(seen, axis=0)]
+        gaps = [abs(share_of(drawn, pattern) - share_of(seen, pattern)) for pattern in np.unique(seen, axis=0)]
         return {"pattern_gap": max(gaps), "impossible": float(np.mean([tuple(row) not in possible for row in drawn]))}
+
+
+def share_of(exists: np.ndarray, pattern: np.ndarray) -> float:
+    """Share of the rows of ``exists`` (n, L) that are just the ``pattern`` (L,)."""
+    return float((exists == pattern).all(axis=1).mean())
 
 
 def joined(known: np.ndarray, real: list, new: list, distances: Callable) -> np.ndarray:
@@ -279,8 +284,7 @@ def run(options: argparse.Namespace, family: str, seed: int, gaussian: dict | No
         result["sources"][name] = figures | judge.of_draws(drawer, rng)
         if name == "machine":
             result["classes"] = fine_classes(split, state.machine, rng)
-            mixture = fit_mixture(state.machine, train)
-            result["sliders_percent"] = [100 * d.size for d in directions(state.machine, mixture, train, 4)]
+            result["sliders_percent"] = [100 * d.size for d in directions(state.machine, train, 4)]
         print(f"{family}, seed {seed}, {name}: {time.process_time() - begin:.0f} CPU-seconds", file=sys.stderr)
     return result
 

@@ -53,7 +53,7 @@ def run(n_points: int, shapes: list[int], target: int, seed: int) -> dict:
     machine = start_machine(observations, rng=rng, sizes=sizes)
     some = observations.subset(np.arange(BATCH))
     mixture = fit_mixture(machine, some)
-    found = directions(machine, mixture, some)
+    found = directions(machine, some)
     one = infer(machine, some.values[:1], some.exists[:1])
     landmarks = np.full((len(some.part), 3), np.nan)
     landmarks[::500] = some.positions()[0, ::500]

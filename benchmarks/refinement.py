@@ -29,6 +29,7 @@ import numpy as np
 
 from shapeforge.collection.families import Generated, address_at, nearest_on_mesh, position_of, write_family
 from shapeforge.collection.iterate import last
+from shapeforge.collection.shape import Mesh
 from shapeforge.stages import run
 from shapeforge.store import Project
 from shapeforge.validation.correspondence import corr_curve, landmark_errors
@@ -65,7 +66,10 @@ def landmark_corr(project: Project, landmarks: dict[str, dict[str, list[float]]]
     shapes = {name: project.shapes.named(name) for name in project.fit_names}
     places = {name: shape.frame.to_input(project.positions(name)) for name, shape in shapes.items()}
     known = {name: {mark: np.array(at) for mark, at in landmarks[name].items()} for name in shapes if name in landmarks}
-    mesh_of = lambda name: shapes[name].mesh.moved(shapes[name].frame.to_input(shapes[name].mesh.vertices))  # noqa: E731
+
+    def mesh_of(name: str) -> Mesh:
+        return shapes[name].mesh.moved(shapes[name].frame.to_input(shapes[name].mesh.vertices))
+
     errors = landmark_errors(known, places, mesh_of)
     return corr_curve(errors, RADII).tolist()
 

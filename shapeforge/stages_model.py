@@ -280,7 +280,7 @@ def learn_into(
     mixture = fit_mixture(machine, observations if split is None else observations.subset(split[0]))
     write_record(folder / "observations.zarr.zip", observations)
     write_record(folder / "mixture.zarr.zip", mixture)
-    write_record(folder / "directions.zarr.zip", tuple(directions(machine, mixture, observations)))
+    write_record(folder / "directions.zarr.zip", tuple(directions(machine, observations)))
     values = np.asarray(describe_shapes(machine, observations))
     write_record(folder / "descriptors.zarr.zip", {"names": list(names), "values": values})
     write_record(folder / "machine.zarr.zip", machine)

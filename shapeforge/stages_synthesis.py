@@ -133,17 +133,17 @@ def made_whole(
     ``turns`` the best is kept; ``measures["redrawn"]`` of the shape tells how many draws were put aside for it.
     """
     shape, kept, turn = make(latents), latents, 0
-    fault = _fault(shape)
+    fault = fault_of(shape)
     while fault > 1 and turn < turns:
         turn += 1
         other = again(turn)
         made = make(other)
-        if _fault(made) < fault:
-            fault, shape, kept = _fault(made), made, other
+        if fault_of(made) < fault:
+            fault, shape, kept = fault_of(made), made, other
     return (replace(shape, measures={**shape.measures, "redrawn": turn}) if turn else shape), kept
 
 
-def _fault(shape: Any) -> float:
+def fault_of(shape: Any) -> float:
     """How far from whole a shape is: at most 1 if it need not be drawn anew.  A new surface is in one piece anyway."""
     measures = shape.measures
     if "largest_gap" not in measures:

@@ -12,12 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from shapeforge.collection._kernels_align import add_moments, nearest_both_ways
+from shapeforge.collection import _kernels_align
 
 STARTS = ("box", "identity", "spread")
 SMALLEST_STRETCH, LARGEST_STRETCH, LARGEST_SHEAR = 1 / 3, 3.0, 0.5
 SETTLED = 2e-4  # largest change of the map's entries in a step below which it has converged
-UNIT, ACROSS = np.eye(3), ~np.eye(3, dtype=bool)
+BOUNDS = (SMALLEST_STRETCH, LARGEST_STRETCH, LARGEST_SHEAR)
+ACROSS = ~np.eye(3, dtype=bool)
 KEPT_SHARE = 0.9  # of the distances, in the trimmed residual: a tenth may belong to parts that only one shape has
 
 
@@ -99,44 +100,28 @@ def _closest_points(
     with a scale that anneals towards the typical distance, and solves the weighted least squares for the affine map,
     pulled towards the start by ``ridge`` times the mean variance of the source.
     """
-    matrix, back = start, np.linalg.inv(start)
+    matrix, through, back = start.copy(), offset.copy(), np.linalg.inv(start)
     fixed = np.ascontiguousarray(target.T, np.float32)
     pairs = [np.empty(size, kind) for size in (len(source), len(target)) for kind in (np.int32, np.float32)]
     # The first scale lets a fifth of the target's size pass, so that legs of another length still pull.
-    wide = 0.2 * float(np.linalg.norm(np.ptp(target, axis=0)))
-    for _ in range(max_iterations):
-        nearest_both_ways(_moved(source, matrix, offset), fixed, *pairs)
-        typical = 0.5 * float(np.sqrt(median_of(pairs[1])) + np.sqrt(median_of(pairs[3])))
-        moments = np.zeros(25)
-        add_moments(source, target, *pairs, max(4.0 * typical, wide) ** 2 + 1e-12, moments)
-        wide *= 0.8
-        moments = moments / moments[0]
-        mean_source, mean_target = moments[1:4], moments[4:7]
-        second = moments[7:16].reshape(3, 3) - mean_source[:, None] * mean_source
-        cross = moments[16:].reshape(3, 3) - mean_target[:, None] * mean_source
-        pull = ridge * second.trace() / 3 + 1e-12
-        fitted = _bounded(np.linalg.solve(second + pull * UNIT, (cross + pull * start).T).T, start, back)
-        through = mean_target - fitted @ mean_source
-        change = max(np.abs(fitted - matrix).max(), np.abs(through - offset).max())
-        matrix, offset = fitted, through
-        if change < SETTLED:
+    wide, left = 0.2 * float(np.linalg.norm(np.ptp(target, axis=0))), max_iterations
+    while left > 0:
+        before = matrix.copy(), through.copy()
+        taken, wide, outcome, mean = _kernels_align.closest_point_steps(
+            source, target, fixed, start, back, ridge, BOUNDS, SETTLED, left, wide, matrix, through, *pairs
+        )
+        left -= taken
+        if outcome == _kernels_align.OUT_OF_BOUNDS:
+            matrix[:] = _bounded(matrix, start, back)
+            through -= matrix @ mean
+            change = max(np.abs(matrix - before[0]).max(), np.abs(through - before[1]).max())
+            outcome = _kernels_align.SETTLED if taken == 1 and change < SETTLED else outcome
+        if outcome == _kernels_align.SETTLED:
             break
-    nearest_both_ways(_moved(source, matrix, offset), fixed, *pairs)
-    return matrix, offset, 0.5 * (_trimmed_mean(pairs[1]) + _trimmed_mean(pairs[3]))
-
-
-def _moved(source: np.ndarray, matrix: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """Moved points, coordinates first (3, n), as the kernel wants them."""
-    return np.ascontiguousarray(matrix @ source.T + offset[:, None], np.float32)
-
-
-def median_of(values: np.ndarray) -> np.floating:
-    """The median as NumPy has it, without what that does for axes and NaN: it is asked for in every iteration."""
-    half = len(values) // 2
-    if len(values) % 2:
-        return np.partition(values, half)[half]
-    low, high = np.partition(values, (half - 1, half))[half - 1 : half + 1]
-    return (low + high) / values.dtype.type(2)
+    moved = np.empty((3, len(source)), np.float32)
+    _kernels_align.moved_by(matrix, through, source, moved)
+    _kernels_align.nearest_both_ways(moved, fixed, *pairs)
+    return matrix, through, 0.5 * (_trimmed_mean(pairs[1]) + _trimmed_mean(pairs[3]))
 
 
 def _trimmed_mean(squared: np.ndarray) -> float:

@@ -13,7 +13,7 @@ from dataclasses import replace
 from itertools import repeat
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from shapeforge.collection.align import Alignment, affine_align
 from shapeforge.collection.parallel import in_order, shared
@@ -28,7 +28,7 @@ from shapeforge.deformation.partial import partial_starts
 from shapeforge.deformation.shape_fit import work_on_shape
 from shapeforge.deformation.starts import affine_beliefs, with_parts
 from shapeforge.deformation.templates import PartTemplates
-from shapeforge.deformation.updates import leaning_to, make_problem
+from shapeforge.deformation.updates import Problem, leaning_to, make_problem
 
 ROUNDS = 8
 """Outer rounds of the family's templates."""
@@ -113,18 +113,44 @@ def family_starts(
     part under the affine map that takes it to the surface believed to be its own.
     """
     problem, beliefs = make_problem(shape, faces, leaning_to(seed)), blend(candidates)
-    top, index = hierarchy.top, len(templates)
+    whole = _whole_start(shape, problem, beliefs, hierarchy, len(templates))
+    starts = [
+        _without_some(shape, problem, beliefs, hierarchy, whole),
+        _believed_start(shape, beliefs, hierarchy, whole),
+    ]
+    return tuple(map(compact, weigh(problem, (*templates, hierarchy.top), starts, family=True)))
+
+
+def _whole_start(shape: Shape, problem: Problem, beliefs: Beliefs, hierarchy: Hierarchy, index: int) -> Beliefs:
+    """All parts of the top-level templates, under the affine map of what there is of them."""
+    top = hierarchy.top
+    there = _believed_points(beliefs, hierarchy)
+    found = affine_align(top.points[there], problem.points @ beliefs.pose.T)  # as the family lies
+    alignment = _turned_back(found, beliefs.pose)
+    return replace(affine_beliefs(shape, problem, top, index, alignment), pose=beliefs.pose)
+
+
+def _believed_points(beliefs: Beliefs, hierarchy: Hierarchy) -> Bool[np.ndarray, " K"]:
+    """Top-level template points (K,) that a shape is believed to have; all where it is believed to have none."""
     there = deformed_family(beliefs, hierarchy)[2]
-    believed = np.bincount(top.label[there], minlength=top.n_parts) > 0
-    if not believed.any():
-        believed, there = top.has_part(), np.ones(top.n_points, bool)
-    lying = problem.points @ beliefs.pose.T, problem.normals @ beliefs.pose.T  # as the family lies
-    alignment = affine_align(top.points[there], lying[0])
-    whole = affine_beliefs(shape, problem, top, index, _turned_back(alignment, beliefs.pose))
-    first = whole
+    return there if there.any() else np.ones(len(there), bool)
+
+
+def _without_some(shape: Shape, problem: Problem, beliefs: Beliefs, hierarchy: Hierarchy, whole: Beliefs) -> Beliefs:
+    """The start with all parts, or a better one without some of them."""
+    top, pose = hierarchy.top, beliefs.pose
+    alignment = Alignment(pose @ whole.maps[0], pose @ whole.offsets[0], np.nan)
+    lying = problem.points @ pose.T, problem.normals @ pose.T
     for start in partial_starts(*lying, [top], [alignment], given_parts(problem, top.n_parts)):  # one at most
-        found = affine_beliefs(shape, problem, top, index, _turned_back(start.alignment, beliefs.pose))
-        first = with_parts(found, start.active)
+        found = affine_beliefs(shape, problem, top, whole.template, _turned_back(start.alignment, pose))
+        whole = replace(with_parts(found, start.active), pose=pose)
+    return _believing(whole, beliefs, whole.active)
+
+
+def _believed_start(shape: Shape, beliefs: Beliefs, hierarchy: Hierarchy, whole: Beliefs) -> Beliefs:
+    """The parts and components that are believed in, each part moved on to its own surface."""
+    top, there = hierarchy.top, _believed_points(beliefs, hierarchy)
+    believed = np.bincount(top.label[there], minlength=top.n_parts) > 0
     deformed, maps, offsets = whole.deformed.copy(), whole.maps.copy(), whole.offsets.copy()
     likeliest = beliefs.segmentation.argmax(axis=1)
     for part in np.flatnonzero(believed).tolist():
@@ -133,14 +159,10 @@ def family_starts(
             own = affine_align(deformed[mine & there], shape.points[theirs], n_points=PART_SAMPLE)
             maps[part], offsets[part] = own.matrix @ maps[part], own(offsets[part][None])[0]
             deformed[mine] = own(deformed[mine])
-    starts = [
-        replace(_believing(first, beliefs, first.active), pose=beliefs.pose),
-        replace(
-            _believing(whole, beliefs, believed), pose=beliefs.pose, deformed=deformed, maps=maps, offsets=offsets,
-            spare=mostly_spare(top, believed[top.label] & ~there),
-        ),
-    ]  # fmt: skip
-    return tuple(map(compact, weigh(problem, (*templates, top), starts, family=True)))
+    return replace(
+        _believing(whole, beliefs, believed), deformed=deformed, maps=maps, offsets=offsets,
+        spare=mostly_spare(top, believed[top.label] & ~there),
+    )  # fmt: skip
 
 
 def better_start(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
@@ -167,11 +189,15 @@ def _believing(start: Beliefs, known: Beliefs, active: np.ndarray) -> Beliefs:
 def _misfits(shape, faces, templates, candidates, hierarchies, covariances) -> Float[np.ndarray, " H"]:
     """Misfit (H,) of each of the hierarchies' top-level templates on a shape, a round after the parts' own start."""
     sharp = replace(covariances, unary=np.full(3, ASKED_SIGMA**2))
+    problem, beliefs = make_problem(shape, faces), blend(candidates)
     found = []
     for hierarchy in hierarchies:
         with_top = (*templates, hierarchy.top)
-        start = family_starts(shape, faces, templates, candidates, hierarchy)[1:]
-        worked = work_on_shape(shape, faces, with_top, start, sharp, 3, None, True)
+        start = _believed_start(
+            shape, beliefs, hierarchy, _whole_start(shape, problem, beliefs, hierarchy, len(templates))
+        )
+        known = tuple(map(compact, weigh(problem, with_top, [start], family=True)))
+        worked = work_on_shape(shape, faces, with_top, known, sharp, 3, None, True)
         found.append(worked.candidates[0].misfit)
     return np.array(found)
 

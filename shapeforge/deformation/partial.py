@@ -26,7 +26,8 @@ BEAM, FINALISTS = 2, 3
 """Sets of parts of which smaller ones are tried, and sets that are looked at closely."""
 
 CLOSELY = 600
-"""Points of either side by which a set of parts is looked at closely."""
+"""Points of either side by which a set of parts is looked at closely: those that ``affine_align`` takes by itself.  By
+fewer, sets of parts fit the very points that they are judged by better than whole templates, aligned by others, do."""
 
 GAIN, BETTER = 1.0, 1.0
 """Nats by which a set of parts must explain the shape better than larger ones at a glance, and than any template with

@@ -17,12 +17,16 @@ from scipy.spatial.distance import cdist
 from shapeforge.generative.inference import Latents, decode, infer, logit, sigmoid
 from shapeforge.generative.machine import BetaShapeMachine
 from shapeforge.generative.observations import Observations
+from shapeforge.generative.structure import StructureMachine
 
 WIDTH = 0.5
 """Standard deviation of a kernel, as a share of that of the shapes with the same parts, where no two shapes are there
 to tell (see ``fit_mixture``)."""
 
-WIDTHS = (0.05, 1.0)
+WIDTHS = (0.05, 0.5**0.5)
+"""Between these the width is looked for.  At the widest a draw owes half to the shape that it starts from; where shapes
+have so much of their own that no width makes draws as new as they are, still wider ones are merely unlike them."""
+
 WIDTH_STEPS = 6
 TRIED, COMPARED = 200, 400
 """Draws by which the width is found, and points of each that are compared."""
@@ -134,27 +138,33 @@ def draw_codes(
     prefer: Float[np.ndarray, " T"] | None = None,
     needed: Int[np.ndarray, " m"] | None = None,
     unwanted: Int[np.ndarray, " m2"] | None = None,
+    structure: StructureMachine | None = None,
 ) -> tuple[Float[np.ndarray, "n A"], Bool[np.ndarray, "n L"]]:
     """Codes (n, A) and parts (n, L) of n draws.
 
     ``prefer`` (nats) says which shapes to start from rather than others; parts ``needed`` (by index) are there, those
-    ``unwanted`` are not, and the rest as on the shapes that come nearest to this.
+    ``unwanted`` are not, and the rest as on the shapes that come nearest to this.  Where no shape has parts like that,
+    ``structure`` says which of these are then likely together with the rest.
     """
     _check(temperature)
     of_shape = mixture.patterns[mixture.which]
     on, off = (np.zeros(0, int) if some is None else some for some in (needed, unwanted))
     if exists is not None:
         lacking = (of_shape != exists).sum(axis=1)
+        states = np.broadcast_to(exists, of_shape.shape).copy()
     else:
         lacking = (~of_shape[:, on]).sum(axis=1) + of_shape[:, off].sum(axis=1)
-    weight = np.where(lacking == lacking.min(), 0.0 if prefer is None else prefer, -np.inf)
-    chosen = _spread_choice(np.exp(weight - weight.max()), n, rng, mixture.which)
-    states = of_shape[chosen] if exists is None else np.broadcast_to(exists, (n, len(exists))).copy()
+        states = of_shape.copy()
     states[:, on], states[:, off] = True, False
+    weight = np.zeros(len(states)) if prefer is None else prefer
+    if structure is not None and lacking.min() > 0:
+        weight = weight + structure.log_unnormalized(states)
+    weight = np.where(lacking == lacking.min(), weight, -np.inf)
+    chosen = _spread_choice(np.exp(weight - weight.max()), n, rng, mixture.which)
     which = mixture.which[chosen]
     middle = _means(mixture)[which]
     noise = _variation(mixture, which, rng)
-    return _kernel(mixture.codes[chosen], middle, noise, mixture.width, temperature), states
+    return _kernel(mixture.codes[chosen], middle, noise, mixture.width, temperature), states[chosen]
 
 
 def _spread_choice(weight: np.ndarray, n: int, rng: np.random.Generator, kind: np.ndarray | None = None) -> np.ndarray:

@@ -16,6 +16,7 @@ from shapeforge.generative.draw import Draw, Mixture, codes_near, draw_codes
 from shapeforge.generative.inference import (
     DOWN_ROUNDS,
     Latents,
+    carried,
     decode,
     descend,
     expected_at,
@@ -58,18 +59,12 @@ def draw_given(
     ``points`` (normal coordinates, NaN where nothing is known) are met up to about ``tolerance`` diagonals, as far as
     the family can; their parts exist.  ``clamped`` units stay at their values, and shapes are drawn that suit them.
     ``exists`` asks for these parts; or parts ``needed`` (by index) are there, ``unwanted`` ones are not, and the rest
-    as the family has them.  With ``start`` all are near that shape, and have its parts where none are asked for.
-    ``temperature`` is that of ``draw``.
+    as the family has them; where no shape is like that, as ``structure`` finds likely.  With ``start`` all are near
+    that shape, and have its parts where none are asked for.  ``temperature`` is that of ``draw``.
 
     Raises ValueError for a unit that does not exist, or a point whose part is not to be there.
     """
-    clamped = dict(clamped or {})
-    for (layer, unit), value in clamped.items():
-        if not (0 <= layer < machine.n_layers and 0 <= unit < machine.sizes[layer] and 0 <= value <= 1):
-            raise ValueError(
-                f"clamped: wanted (layer, unit) within layers of {machine.sizes} units and a value in [0, 1], got "
-                f"({layer}, {unit}): {value}; layers and units count from 0"
-            )
+    clamped = _checked(machine, clamped)
     known = np.zeros(0, np.int64) if points is None else np.flatnonzero(np.isfinite(points).all(axis=1))
     on, off = (np.zeros(0, np.int64) if some is None else some for some in (needed, unwanted))
     on = np.union1d(on, np.unique(machine.part[known])).astype(np.int64)
@@ -80,8 +75,40 @@ def draw_given(
             f"exists: wanted the parts that are needed or whose points are given, got none of {missing}; "
             "give no points of parts that the shape is not to have"
         )
-    prefer = np.zeros(len(mixture.codes))
-    layers = mixture.layers(mixture.codes)
+    count = max(n, ENSEMBLE) if len(known) else n
+    if start is None:
+        prefer = _preference(machine, mixture, points, known, clamped)
+        codes, states = draw_codes(
+            mixture, count, rng=rng, exists=exists, temperature=temperature, prefer=prefer, needed=on, unwanted=off,
+            structure=machine.structure,
+        )  # fmt: skip
+    else:
+        codes = codes_near(mixture, start, count, rng=rng, temperature=temperature)
+        states = np.repeat(start.exists[:1] if exists is None else exists[None], count, axis=0)
+        states[:, on], states[:, off] = True, False
+    latents = Latents(held(machine, mixture.layers(codes.astype(machine.dtype)), clamped), states)
+    if len(known):
+        latents = _met(machine, latents, points, known, clamped, tolerance, rng)[:n]
+    return Draw(machine.to_positions(decode(machine, latents), latents.exists), latents.exists, latents)
+
+
+def _checked(machine: BetaShapeMachine, clamped: Clamped | None) -> dict[tuple[int, int], float]:
+    """The units to hold; raises ValueError for one that does not exist or a value that no unit can have."""
+    held_at = dict(clamped or {})
+    for (layer, unit), value in held_at.items():
+        if not (0 <= layer < machine.n_layers and 0 <= unit < machine.sizes[layer] and 0 <= value <= 1):
+            raise ValueError(
+                f"clamped: wanted (layer, unit) within layers of {machine.sizes} units and a value in [0, 1], got "
+                f"({layer}, {unit}): {value}; layers and units count from 0"
+            )
+    return held_at
+
+
+def _preference(
+    machine: BetaShapeMachine, mixture: Mixture, points: np.ndarray | None, known: np.ndarray, clamped: Clamped
+) -> np.ndarray:
+    """How well each of the family's shapes suits what is known, in nats (T,)."""
+    layers, prefer = mixture.layers(mixture.codes), np.zeros(len(mixture.codes))
     for (layer, unit), value in clamped.items():
         q = np.clip(layers[layer][:, unit].astype(float), 1e-4, 1 - 1e-4)
         prefer += value * np.log(q) + (1 - value) * np.log1p(-q)
@@ -93,19 +120,7 @@ def draw_given(
             ]
         )
         prefer -= _tempered(squares)
-    count = max(n, ENSEMBLE) if len(known) else n
-    if start is None:
-        codes, states = draw_codes(
-            mixture, count, rng=rng, exists=exists, temperature=temperature, prefer=prefer, needed=on, unwanted=off
-        )
-    else:
-        codes = codes_near(mixture, start, count, rng=rng, temperature=temperature)
-        states = np.repeat(start.exists[:1] if exists is None else exists[None], count, axis=0)
-        states[:, on], states[:, off] = True, False
-    latents = Latents(held(machine, mixture.layers(codes.astype(machine.dtype)), clamped), states)
-    if len(known):
-        latents = _met(machine, latents, points, known, clamped, tolerance, rng)[:n]
-    return Draw(machine.to_positions(decode(machine, latents), latents.exists), latents.exists, latents)
+    return prefer
 
 
 def between(first: Latents, second: Latents, shares: Sequence[float] | Float[np.ndarray, " n"]) -> Latents:
@@ -155,7 +170,7 @@ def held(machine: BetaShapeMachine, layers: tuple[np.ndarray, ...], clamped: Cla
             hold(index)
     after = [m + centre for m, centre in zip(moved, machine.centres, strict=True)]
     free = descend(machine, layers[-1])
-    found = [sigmoid(logit(own) + logit(h) - logit(f)) for own, h, f in zip(layers[:-1], after, free, strict=False)]
+    found = [carried(own, f, h) for own, f, h in zip(layers[:-1], free, after, strict=False)]
     found.append(after[-1])
     for (layer, unit), value in clamped.items():
         found[layer][:, unit] = value
@@ -178,7 +193,10 @@ def _met(
     found = sigmoid(first).astype(machine.dtype)
     values = expected_values(machine, found)
     above = infer(machine, values, latents.exists).layers[1:] if machine.n_layers > 1 else ()
-    return Latents((found, *above), latents.exists)
+    layers = (found, *above)
+    for (layer, unit), value in clamped.items():
+        layers[layer][:, unit] = value
+    return Latents(layers, latents.exists)
 
 
 def smoothed(

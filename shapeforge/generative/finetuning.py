@@ -66,93 +66,127 @@ def loss_and_gradient(
     ``run`` maps a function over the parts: pass ``executor.map`` to use more threads.  The parts are independent and
     their results combined in order, so that the answer does not depend on it.
     """
-    n, parts = len(batch.values), range(machine.n_parts)
-    dtype = machine.dtype
-
-    # --- up -------------------------------------------------------------------------------------------------------
+    n, parts, last = len(batch.values), range(machine.n_parts), machine.n_layers - 1
+    known = (batch.exists - machine.existence_centre).astype(machine.dtype)
     features = list(run(lambda part: gated_features(machine, batch.values, batch.exists, part), parts))
-    flat = [weight.reshape(-1, weight.shape[2]) for weight in machine.weights]
-    said = np.concatenate(list(run(lambda part: features[part] @ flat[part], parts)), axis=1)
-    known = (batch.exists - machine.existence_centre).astype(dtype)
-    totals = list(machine.biases)
-    totals[0] = totals[0] + said
-    totals[-1] = totals[-1] + known @ machine.existence_top
-    last = machine.n_layers - 1
-    moved: list[np.ndarray | None] = [None] * machine.n_layers
-    up: list[_Step] = []
-    for _ in range(UP_ROUNDS if last else 1):
-        for index in range(machine.n_layers):
-            moved[index] = settle(machine, index, totals[index], moved)
-            up.append(_Step(index, list(moved)))
-    first, top = moved[0], moved[-1] + machine.centres[-1]
-    noise = batch.noise
-    if noise is None:
-        noise = (batch.uniform < top).astype(dtype) - top if batch.uniform is not None else np.zeros_like(top)
+    up = _upwards(machine, features, known, run)
+    first, top = up[-1].moved[0], up[-1].moved[-1] + machine.centres[-1]
+    sampled = up[-1].moved[-1] + _sampling_noise(batch, top)
+    down = _downwards(machine, sampled)
 
-    # --- down -----------------------------------------------------------------------------------------------------
-    moved = [None] * last + [moved[-1] + noise]
-    down: list[_Step] = []
-    for _ in range(DOWN_ROUNDS if last > 1 else 1):
-        for index in reversed(range(last)):
-            moved[index] = settle(machine, index, machine.biases[index], moved)
-            down.append(_Step(index, list(moved)))
+    # the points, and back to H1: rows are the shapes from the sampled top, then the shapes from H1
+    codes = np.concatenate([down[-1].moved[0] if down else sampled, first])
+    back = list(run(lambda part: _reconstruct(machine, batch, codes, part), parts))
+    errors = np.sum([one.errors for one in back], axis=0)
+    slopes = np.concatenate([one.slopes for one in back], axis=1)
+    divergence, d_top, d_prior = _divergence(prior, batch, top)
 
-    # --- the points, and back to H1 --------------------------------------------------------------------------------
-    per_coordinate = 1.0 / (n * 3 * machine.n_points)
-    codes = np.concatenate([moved[0], first])
-    importance = np.repeat(np.array([TOP_WEIGHT, FIRST_WEIGHT]), n)
+    totals = _Slopes.zero(machine)
+    d_down: list[np.ndarray | None] = [slopes[:n], *[None] * last]
+    totals.through(down, d_down, of_sampled=True)
+    d_up: list[np.ndarray | None] = [slopes[n:], *[None] * last]
+    d_up[-1] = _plus(d_up[-1], d_down[-1] + d_top)
+    totals.through(up, d_up)
+    d_said, d_told = totals.inputs[0], totals.inputs[-1]
 
-    def reconstruct(part: int):
-        slot, weight = machine.units_of_part[part], flat[part]
-        code = np.ascontiguousarray(codes[:, slot])
-        both = code @ weight.T
-        share = np.tile(batch.exists[:, part] * (batch.part_weight[part] * per_coordinate), 2)
-        sums = reconstruction_loss(
-            both, machine.rest[part].reshape(-1), machine.coordinates(batch.values, part),
-            (share * importance).astype(dtype), dtype.type(ROUNDING), dtype.type(FLOOR),
-        )  # fmt: skip
-        return sums * share, code, both, both @ weight
-
-    back = list(run(reconstruct, parts))
-    errors = np.sum([item[0] for item in back], axis=0)
-    d_codes = np.concatenate([item[3] for item in back], axis=1)
-
-    # --- divergence -------------------------------------------------------------------------------------------------
-    prior_logit = prior.bias + batch.exists.astype(dtype) @ prior.weights
-    expected = sigmoid(prior_logit)
-    sure, chance = (np.clip(q, 1e-7, 1 - 1e-7) for q in (top, expected))
-    surplus = np.log(sure) - np.log1p(-sure) - np.log(chance) + np.log1p(-chance)
-    divergence = sure * surplus + np.log1p(-sure) - np.log1p(-chance)
-    d_prior = (DIVERGENCE_WEIGHT / n) * (expected - top)
-
-    # --- reverse ----------------------------------------------------------------------------------------------------
-    back_to = _Slopes.zero(machine)
-    d_down: list[np.ndarray | None] = [d_codes[:n], *[None] * last]
-    back_to.through(down, d_down, of_sampled=True)
-    d_up: list[np.ndarray | None] = [d_codes[n:], *[None] * last]
-    d_up[-1] = _plus(d_up[-1], d_down[-1] + (DIVERGENCE_WEIGHT / n) * surplus.astype(dtype))
-    back_to.through(up, d_up)
-    d_said, d_told = back_to.inputs[0], back_to.inputs[-1]
-
-    def gather(part: int):
-        _, code, both, _ = back[part]
-        slot, weight = machine.units_of_part[part], machine.weights[part]
-        rows, columns = np.concatenate([both, features[part]]), np.concatenate([code, d_said[:, slot]])
-        return (rows.T @ columns).reshape(weight.shape), both.sum(axis=0).reshape(2, -1)
+    def gather(part: int) -> tuple[np.ndarray, np.ndarray]:
+        own, slot = back[part], machine.units_of_part[part]
+        rows = np.concatenate([own.parameters, features[part]])
+        columns = np.concatenate([own.codes, d_said[:, slot]])
+        return (rows.T @ columns).reshape(machine.weights[part].shape), own.parameters.sum(axis=0).reshape(2, -1)
 
     gathered = list(run(gather, parts))
     terms = LossTerms(
-        loss=float(importance @ errors + DIVERGENCE_WEIGHT * divergence.sum() / n),
+        loss=float(_importance(n) @ errors + DIVERGENCE_WEIGHT * divergence.sum() / n),
         top=float(errors[:n].sum()),
         first=float(errors[n:].sum()),
         divergence=float(divergence.sum() / n),
     )
     return terms, {
-        "weights": tuple(item[0] for item in gathered),
-        "rest": tuple(item[1] for item in gathered),
-        "biases": tuple(back_to.biases), "couplings": tuple(back_to.couplings), "existence_top": known.T @ d_told,
-        "prior_bias": d_prior.sum(axis=0), "prior_weights": batch.exists.astype(dtype).T @ d_prior,
+        "weights": tuple(weight for weight, _ in gathered),
+        "rest": tuple(rest for _, rest in gathered),
+        "biases": tuple(totals.biases), "couplings": tuple(totals.couplings), "existence_top": known.T @ d_told,
+        "prior_bias": d_prior.sum(axis=0), "prior_weights": batch.exists.astype(machine.dtype).T @ d_prior,
     }  # fmt: skip
+
+
+def _importance(n: int) -> np.ndarray:
+    """Weight (2n,) of the errors of n shapes from the sampled top, then of the same from H1."""
+    return np.repeat(np.array([TOP_WEIGHT, FIRST_WEIGHT]), n)
+
+
+def _sampling_noise(batch: Batch, top: np.ndarray) -> np.ndarray:
+    """What sampling adds to the top's probabilities (B, O): straight-through, so that it has no derivative."""
+    if batch.noise is not None:
+        return batch.noise
+    return np.zeros_like(top) if batch.uniform is None else (batch.uniform < top).astype(top.dtype) - top
+
+
+def _upwards(machine: BetaShapeMachine, features: list[np.ndarray], known: np.ndarray, run: Callable) -> list[_Step]:
+    """The mean field of ``infer``, step by step: ``features`` are E (X - μ) of every part, ``known`` E - ε."""
+    said = run(lambda part: features[part] @ _flat(machine, part), range(machine.n_parts))
+    totals = list(machine.biases)
+    totals[0] = totals[0] + np.concatenate(list(said), axis=1)
+    totals[-1] = totals[-1] + known @ machine.existence_top
+    moved: list[np.ndarray | None] = [None] * machine.n_layers
+    steps: list[_Step] = []
+    for _ in range(UP_ROUNDS if machine.n_layers > 1 else 1):
+        for index in range(machine.n_layers):
+            moved[index] = settle(machine, index, totals[index], moved)
+            steps.append(_Step(index, list(moved)))
+    return steps
+
+
+def _downwards(machine: BetaShapeMachine, top: np.ndarray) -> list[_Step]:
+    """The mean field of ``descend``, step by step, from the sampled ``top`` less its centre; none with one layer."""
+    last = machine.n_layers - 1
+    moved: list[np.ndarray | None] = [*[None] * last, top]
+    steps: list[_Step] = []
+    for _ in range(DOWN_ROUNDS if last > 1 else 1):
+        for index in reversed(range(last)):
+            moved[index] = settle(machine, index, machine.biases[index], moved)
+            steps.append(_Step(index, list(moved)))
+    return steps
+
+
+def _flat(machine: BetaShapeMachine, part: int) -> np.ndarray:
+    """[W^α, W^β] of one part as one matrix (2 F_l, M_l)."""
+    weight = machine.weights[part]
+    return weight.reshape(-1, weight.shape[2])
+
+
+class _Back(NamedTuple):
+    """One part given back from ``codes`` (2B, M_l), H1 less its centre: ``errors`` (2B,), and the derivatives of the
+    loss by [α, β], ``parameters`` (2B, 2 F_l), and by the codes, ``slopes`` (2B, M_l)."""
+
+    errors: np.ndarray
+    codes: np.ndarray
+    parameters: np.ndarray
+    slopes: np.ndarray
+
+
+def _reconstruct(machine: BetaShapeMachine, batch: Batch, codes: np.ndarray, part: int) -> _Back:
+    """The points of one part from rows of H1 (2B, M), beside what they were."""
+    n, dtype, weight = len(batch.values), machine.dtype, _flat(machine, part)
+    code = np.ascontiguousarray(codes[:, machine.units_of_part[part]])
+    both = code @ weight.T
+    per_coordinate = 1.0 / (n * 3 * machine.n_points)
+    share = np.tile(batch.exists[:, part] * (batch.part_weight[part] * per_coordinate), 2)
+    sums = reconstruction_loss(
+        both, machine.rest[part].reshape(-1), machine.coordinates(batch.values, part),
+        (share * _importance(n)).astype(dtype), dtype.type(ROUNDING), dtype.type(FLOOR),
+    )  # fmt: skip
+    return _Back(sums * share, code, both, both @ weight)
+
+
+def _divergence(prior: TopPrior, batch: Batch, top: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """KL(q(top) || p(top | E)) (B, O), and the slopes of its share of the loss by q(top) and by the prior's logits."""
+    per_shape = DIVERGENCE_WEIGHT / len(top)
+    expected = sigmoid(prior.bias + batch.exists.astype(top.dtype) @ prior.weights)
+    sure, chance = (np.clip(q, 1e-7, 1 - 1e-7) for q in (top, expected))
+    surplus = np.log(sure) - np.log1p(-sure) - np.log(chance) + np.log1p(-chance)
+    divergence = sure * surplus + np.log1p(-sure) - np.log1p(-chance)
+    return divergence, per_shape * surplus.astype(top.dtype), per_shape * (expected - top)
 
 
 class _Step(NamedTuple):

@@ -16,6 +16,8 @@ UP_ROUNDS = 3
 DOWN_ROUNDS = 2
 """Rounds downwards from a given top; the shape itself is read off at the end."""
 
+LARGEST_SLIDER_LOGIT = 6.0
+
 
 @dataclass(frozen=True, eq=False)
 class Latents:
@@ -49,6 +51,12 @@ def logit(q: np.ndarray) -> np.ndarray:
     """The inverse of ``sigmoid``, of probabilities kept 1e-6 away from 0 and 1."""
     clipped = np.clip(q, 1e-6, 1 - 1e-6)
     return np.log(clipped) - np.log1p(-clipped)
+
+
+def slider_logit(q: np.ndarray) -> np.ndarray:
+    """The logit of probabilities as sliders count it, in float64: beyond ±LARGEST_SLIDER_LOGIT a unit is on or off, and
+    how far beyond is noise."""
+    return np.clip(logit(q), -LARGEST_SLIDER_LOGIT, LARGEST_SLIDER_LOGIT).astype(np.float64)
 
 
 def gated_features(
@@ -113,6 +121,17 @@ def descend(
             moved[index] = settle(machine, index, machine.biases[index], moved)
     below = (m + centre for m, centre in zip(moved[:last], machine.centres[:last], strict=True))
     return *below, top.astype(machine.dtype)
+
+
+def carried(
+    own: Float[np.ndarray, "n _"], before: Float[np.ndarray, "n _"], after: Float[np.ndarray, "n _"]
+) -> Float[np.ndarray, "n _"]:
+    """Probabilities ``own`` of a layer, changed by as much as the layers above change it, from ``before`` to ``after``.
+
+    What the layers above don't explain of a shape stays.  Differences are of probabilities, in which α and β are
+    linear: in logits a unit that is quite on or off on the shape would stay so whatever the layers above say.
+    """
+    return np.clip(own + (after - before), 0, 1)
 
 
 def beta_parameters(

@@ -83,48 +83,76 @@ def learn_machine(
     # steps on a part take milliseconds: threads gain by them, another process would only wait for its data
     run = executor.map if isinstance(executor, ThreadPoolExecutor) else map
     train, judges = split(observations, validation, rng=rng, held_out=held_out)
-    n_held_out = 0 if judges is None else judges.n_shapes
-    batch_size = min(BATCH, train.n_shapes)
-    steps = -(-train.n_shapes // batch_size)
-    wanted = STEPS if start is None else STEPS // 3
-    n_epochs = max(20, -(-wanted // steps)) if epochs is None else epochs
-    n_first = max(10, min(200, -(-150 // steps))) if pretraining is None else pretraining
-    done, total = 0, n_epochs
-
+    schedule = _Schedule.of(train.n_shapes, epochs, pretraining, continued=start is not None)
+    done, total = 0, schedule.epochs
     if start is not None:
         machine = _continued(start, observations, rng)
     else:
         with threadpool_limits(1, "blas"):
             machine = start_machine(train, rng=rng, sizes=sizes)
-        total += machine.n_layers * n_first
-        for phase, machine, error in _pretrain(machine, train, rng, n_first, run):  # noqa: B020
-            done += 1
+        total += machine.n_layers * schedule.pretraining
+        for phase, pretrained, error in _pretrain(machine, train, rng, schedule.pretraining, run):
+            machine, done = pretrained, done + 1
             yield LearnState(done, total, phase, machine, error, np.nan, (np.nan,) * machine.n_layers, None)
 
-    tuner = _Tuner.start(machine, train, strengths, n_epochs * steps)
-    best, waited, every = None, 0, max(1, round(25 / steps))
-    for epoch in range(1, n_epochs + 1):
+    tuner, best = _Tuner.start(machine, train, strengths, schedule.epochs * schedule.steps), _Best(schedule, judges)
+    for epoch in range(1, schedule.epochs + 1):
         with threadpool_limits(1, "blas"):
-            tuner.epoch(train, batch_size, rng, run)
-            if epoch % every and epoch < n_epochs:
+            tuner.epoch(train, schedule.batch, rng, run)
+            if epoch % schedule.between_checks and epoch < schedule.epochs:
                 continue
             state = _measure(tuner.machine, train, judges, done + epoch, total)
-        if best is None or _score(state, n_held_out) < _score(best, n_held_out):
-            best, waited = state, 0
-        else:
-            waited += 1
-        stop = None
-        if judges is not None and waited * every >= patience * n_epochs:
-            stop = f"The error on held-out shapes has not fallen for {waited * every} epochs."
-        elif epoch == n_epochs:
-            stop = "All epochs are done."
+        stop = best.told(state, patience) or ("All epochs are done." if epoch == schedule.epochs else None)
         if stop is None:
             yield state
             continue
         with threadpool_limits(1, "blas"):
-            finished = _calibrate(best.machine, observations, judges)
-        yield replace(best, epoch=state.epoch, machine=finished, stop_reason=stop)
+            finished = _calibrate(best.state.machine, observations, judges)
+        yield replace(best.state, epoch=state.epoch, machine=finished, stop_reason=stop)
         return
+
+
+@dataclass(frozen=True)
+class _Schedule:
+    """How long is learned: shapes in a ``batch``, ``steps`` in an epoch, ``epochs`` of fine-tuning, and of
+    ``pretraining`` for each layer; the held-out shapes are looked at every ``between_checks`` epochs."""
+
+    batch: int
+    steps: int
+    epochs: int
+    pretraining: int
+
+    @classmethod
+    def of(cls, n_shapes: int, epochs: int | None, pretraining: int | None, *, continued: bool) -> _Schedule:
+        batch = min(BATCH, n_shapes)
+        steps = -(-n_shapes // batch)
+        wanted = STEPS // 3 if continued else STEPS
+        return cls(
+            batch, steps, max(20, -(-wanted // steps)) if epochs is None else epochs,
+            max(10, min(200, -(-150 // steps))) if pretraining is None else pretraining,
+        )  # fmt: skip
+
+    @property
+    def between_checks(self) -> int:
+        return max(1, round(25 / self.steps))
+
+
+class _Best:
+    """The best state so far, and how long none has been better."""
+
+    def __init__(self, schedule: _Schedule, judges: Observations | None) -> None:
+        self.state: LearnState | None = None
+        self._schedule, self._judges, self._waited = schedule, 0 if judges is None else judges.n_shapes, 0
+
+    def told(self, state: LearnState, patience: float) -> str | None:
+        """Take notice of a state; why to stop, if it is time."""
+        if self.state is None or _score(state, self._judges) < _score(self.state, self._judges):
+            self.state, self._waited = state, 0
+        else:
+            self._waited += self._schedule.between_checks
+        if not self._judges or self._waited < patience * self._schedule.epochs:
+            return None
+        return f"The error on held-out shapes has not fallen for {self._waited} epochs."
 
 
 def reconstruction_error(
@@ -296,9 +324,9 @@ def vary(
     (which underestimates) the combinations reach.
     """
     varied = values.copy()
-    keys = exists @ (1 << np.arange(exists.shape[1], dtype=np.int64) % 62)
-    for key in np.unique(keys):
-        members = np.flatnonzero(keys == key)
+    patterns, which = np.unique(exists[:, ::-1], axis=0, return_inverse=True)  # the first part changes fastest
+    for index in range(len(patterns)):
+        members = np.flatnonzero(which == index)
         n = len(members)
         if n < 2:
             continue

@@ -137,8 +137,9 @@ def _map(value, change):
 LEAST_UNITS = 40
 """Units of H1 that a part gets however few its points: a tailplane of 40 points varies no less than one of 400."""
 
-SMALL_FAMILY = 200
-"""Shapes up to which two layers explain held-out shapes better than three (docs/paper.md)."""
+SMALL_FAMILY = 150
+"""Shapes up to which two layers give back held-out shapes better than three, from H1 as from the top; with more three
+are better from H1, which draws and sliders start from (docs/paper.md)."""
 
 Sizes = tuple[list[int] | int, ...]
 """Units of every layer: of H1 a list, one number per part; of each further layer a number."""
@@ -196,21 +197,23 @@ def start_machine(
         scale = 0.01 * np.sqrt(20 * concentration / first[index])
         weights.append(scale * rng.standard_normal((2, values.shape[1], first[index])))
     every = [sum(first), *(int(size) for size in above)]
-    as32 = lambda items: tuple(np.ascontiguousarray(item, dtype=np.float32) for item in items)  # noqa: E731
-    zeros, halves = (lambda n: np.zeros(n, np.float32)), (lambda n: np.full(n, 0.5, np.float32))
-    normal = lambda *shape: (0.05 * rng.standard_normal(shape)).astype(np.float32)  # noqa: E731
     if structure is None:
         structure = fit_structure(observations.exists, rng=rng)
     return BetaShapeMachine(
         part=observations.part, part_names=observations.part_names, low=observations.low, high=observations.high,
-        weights=as32(weights), rest=as32(rest), data_centre=as32(centre),
-        biases=tuple(zeros(size) for size in every), centres=tuple(halves(size) for size in every),
-        couplings=tuple(normal(below, above) for below, above in pairwise(every)),
+        weights=_float32(weights), rest=_float32(rest), data_centre=_float32(centre),
+        biases=tuple(np.zeros(size, np.float32) for size in every),
+        centres=tuple(np.full(size, 0.5, np.float32) for size in every),
+        couplings=_float32([0.05 * rng.standard_normal(pair) for pair in pairwise(every)]),
         existence_top=np.zeros((n_parts, every[-1]), np.float32),
         existence_centre=observations.exists.mean(axis=0).astype(np.float32),
         spread=np.full((len(observations.part), 3), 0.02, np.float32),
         structure=structure,
     )  # fmt: skip
+
+
+def _float32(items: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
+    return tuple(np.ascontiguousarray(item, dtype=np.float32) for item in items)
 
 
 def project(machine: BetaShapeMachine) -> BetaShapeMachine:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from shapeforge.generative.inference import Latents, logit, sigmoid
+from shapeforge.generative.inference import Latents, sigmoid, slider_logit
 from shapeforge.generative.machine import BetaShapeMachine
 from shapeforge.generative.units import Direction, layer_of
 
@@ -26,7 +26,7 @@ class Scales:
         self._layers = [layer_of(machine, direction) for direction in directions]
         self._directions = list(directions)
         self._exists = family.exists
-        self._logits = {layer: _logits(family.layers[layer]) for layer in sorted(set(self._layers))}
+        self._logits = {layer: slider_logit(family.layers[layer]) for layer in sorted(set(self._layers))}
         self._means: dict[tuple[int, bytes], np.ndarray] = {}
         patterns = {row.tobytes(): row for row in family.exists}
         middles = np.zeros((len(family.exists), len(directions)))
@@ -54,10 +54,10 @@ class Scales:
         found = np.zeros((len(shapes.exists), len(self._directions)))
         for i, (layer, direction) in enumerate(zip(self._layers, self._directions, strict=True)):
             if direction.unit is None:
-                away = _logits(shapes.layers[layer]) - self._mean(layer, exists)
+                away = slider_logit(shapes.layers[layer]) - self._mean(layer, exists)
                 found[:, i] = away @ direction.vector
             else:
-                own = _logits(shapes.layers[layer][:, direction.unit])
+                own = slider_logit(shapes.layers[layer][:, direction.unit])
                 found[:, i] = own - self._mean(layer, exists)[direction.unit]
         return found
 
@@ -86,7 +86,3 @@ class Scales:
             return None
         logit_there = value + self._medians[index] + self._mean(layer, exists)[unit]
         return (layer, unit), float(sigmoid(np.array([logit_there]))[0])
-
-
-def _logits(layer: np.ndarray) -> np.ndarray:
-    return np.clip(logit(layer), -6, 6).astype(float)

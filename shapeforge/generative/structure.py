@@ -2,7 +2,8 @@
 
 The print has one existence unit per point; all points of a part appear and vanish together, and with that many copies
 contrastive divergence never mixes.  With one unit per part the 2^L states can be summed, so that the likelihood and its
-gradient are exact.  See docs/paper.md for the departure.
+gradient are exact.  Draws have the combinations of the family as often as it has them (no estimate comes nearer to new
+shapes); where other parts are asked for, this says what goes with them.  See docs/paper.md for the departure.
 """
 
 from __future__ import annotations

@@ -12,8 +12,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from shapeforge.generative.draw import Mixture
-from shapeforge.generative.inference import Latents, decode, descend, expected_values, infer, logit, sigmoid
+from shapeforge.generative.inference import (
+    Latents,
+    carried,
+    decode,
+    descend,
+    expected_values,
+    infer,
+    sigmoid,
+    slider_logit,
+)
 from shapeforge.generative.machine import FLOOR, BetaShapeMachine
 from shapeforge.generative.observations import Observations
 
@@ -36,8 +44,8 @@ BIG_MOVE = 0.4
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """One slider.  Its value is added to the logits of a layer along ``vector``: the top for kind
-    "direction", H1 for "bundle" and "unit"; 0 leaves a shape as it is.
+    """One slider.  Its value is added to the logits of a layer along ``vector``: of the top (O,) for kind "direction",
+    of H1 (M,) for "bundle" and "unit"; 0 leaves a shape as it is.
 
     ``low`` and ``high`` are the 5th and 95th percentile over the training shapes, relative to their median;
     ``histogram`` (b,) counts the shapes between ``edges`` (b+1,).  ``moves`` (K,) is how far each point goes, in
@@ -48,7 +56,7 @@ class Direction:
     name: str
     caption: str
     kind: str
-    vector: Float[np.ndarray, " O"]
+    vector: Float[np.ndarray, " _"]
     low: float
     high: float
     histogram: Float[np.ndarray, " b"]
@@ -68,9 +76,7 @@ class Direction:
         return float(self.moves.mean())
 
 
-def directions(
-    machine: BetaShapeMachine, mixture: Mixture, observations: Observations, count: int = 8
-) -> list[Direction]:
+def directions(machine: BetaShapeMachine, observations: Observations, count: int = 8) -> list[Direction]:
     """The ``count`` directions of the top layer that change shapes most, the most effective first.
 
     Principal directions of what the family's shapes do while their parts stay the same: the positions that the machine
@@ -78,7 +84,7 @@ def directions(
     goes along with one principal component.  Deterministic, signs included (the part that moves most grows or rises).
     """
     latents = infer(machine, observations.values, observations.exists)
-    logits = np.clip(logit(latents.top), -6, 6).astype(float)
+    logits = slider_logit(latents.top)
     decoded = decode(machine, latents.top)
     counted = observations.exists[:, observations.part][..., None]
     flat = (decoded.astype(float) * counted).reshape(len(decoded), -1)
@@ -104,9 +110,9 @@ def bundles(machine: BetaShapeMachine, observations: Observations, count: int = 
     values are logits of the H2 unit; bundles that do nearly the same as a stronger one are left out.
     """
     latents = infer(machine, observations.values, observations.exists)
-    upper = _within_patterns(_logits(latents.layers[_bundle_layer(machine)]), observations.exists)
+    upper = _within_patterns(slider_logit(latents.layers[_bundle_layer(machine)]), observations.exists)
     typical = _typical_shapes(latents, upper)
-    lower = _within_patterns(_logits(latents.first), observations.exists)
+    lower = _within_patterns(slider_logit(latents.first), observations.exists)
     there = np.zeros(lower.shape, bool)
     for index, slot in enumerate(machine.units_of_part):
         there[:, slot] = observations.exists[:, [index]]
@@ -136,7 +142,7 @@ def single_units(machine: BetaShapeMachine, observations: Observations, count: i
     its part.
     """
     latents = infer(machine, observations.values, observations.exists)
-    within = _within_patterns(_logits(latents.first), observations.exists)
+    within = _within_patterns(slider_logit(latents.first), observations.exists)
     typical = _typical_shapes(latents, within)
     promise = np.zeros(machine.sizes[0])
     for index, slot in enumerate(machine.units_of_part):
@@ -168,12 +174,8 @@ def middle_shape(machine: BetaShapeMachine, observations: Observations) -> Laten
     common = int(counts.argmax())
     chosen = observations.subset(np.flatnonzero(which.reshape(-1) == common))
     latents = infer(machine, chosen.values, chosen.exists)
-    means = (_logits(layer).mean(axis=0, keepdims=True) for layer in latents.layers)
+    means = (slider_logit(layer).mean(axis=0, keepdims=True) for layer in latents.layers)
     return Latents(tuple(sigmoid(mean).astype(machine.dtype) for mean in means), patterns[common : common + 1])
-
-
-def _logits(layer: np.ndarray) -> np.ndarray:
-    return np.clip(logit(layer), -6, 6).astype(float)
 
 
 def drive(
@@ -228,15 +230,18 @@ def _moved(machine: BetaShapeMachine, base: Latents, top_step: np.ndarray, first
     """Latents after steps in the logits of the top (n, O) and of H1 (n, M): the layers below the top keep what it does
     not explain."""
     last = machine.n_layers - 1
-    if last == 0:
-        return Latents((sigmoid(logit(base.first) + top_step + first_step),), base.exists)
-    top = sigmoid(np.clip(logit(base.top), -6, 6) + top_step)
-    before, after = descend(machine, np.clip(base.top, 0.0025, 0.9975)), descend(machine, top)
-    layers = [
-        logit(own) + logit(b) - logit(a) for own, a, b in zip(base.layers, before[:last], after[:last], strict=False)
-    ]
-    layers[0] = layers[0] + first_step
-    return Latents((*(sigmoid(layer) for layer in layers), top), base.exists)
+    before, after = _stepped(base.top, top_step if last else top_step + first_step)
+    sides = zip(base.layers, descend(machine, before), descend(machine, after), strict=True)
+    layers = [carried(own, b, a) for own, b, a in sides]
+    if last:
+        layers[0] = carried(layers[0], *_stepped(layers[0], first_step))
+    return Latents(tuple(layers), base.exists)
+
+
+def _stepped(layer: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A layer as sliders count it, and after a step in its logits."""
+    start = slider_logit(layer).astype(layer.dtype)
+    return sigmoid(start), sigmoid(start + step)
 
 
 def _within_patterns(data: np.ndarray, exists: np.ndarray) -> np.ndarray:

@@ -69,6 +69,8 @@ class Round:
     points: dict[str, FittedPoints] = field(default_factory=dict)
     moved: dict[str, float] = field(default_factory=dict)
     stop_reason: str | None = None
+    family_from: int = -1
+    """The round with which the exemplars were done, -1 as long as they are not (see ``deformation.fit.FitState``)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +145,7 @@ def record_round(
     sigma = np.asarray(state.sigma_by_part, float)
     return Round(
         int(state.round), int(state.of), float(state.energy), float(state.change), sigma, points, moved,
-        state.stop_reason,
+        state.stop_reason, int(getattr(state, "family_from", -1)),
     )  # fmt: skip
 
 

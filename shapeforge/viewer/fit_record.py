@@ -92,6 +92,12 @@ class FitRecord:
         """How many rounds were planned, 0 before there is any."""
         return self.rounds[self.newest].of if self.rounds else 0
 
+    @property
+    def family_after(self) -> int | None:
+        """The last round of the exemplars' templates, once there is one of the family's own; None before that."""
+        last = self.rounds[self.newest].family_from if self.rounds else -1
+        return last if 0 <= last < self.newest else None
+
     def points(self, name: str, number: int) -> FittedPoints | None:
         """Template points of a shape after a round; None when they were not recorded, or the templates made anew."""
         one = self._points(name, number)

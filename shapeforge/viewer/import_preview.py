@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,13 +17,17 @@ from shapeforge.collection.shape import Mesh
 
 UNITS: tuple[tuple[str, float, float], ...] = (("m", 0.05, 12.0), ("cm", 12.0, 350.0), ("mm", 350.0, 12000.0))
 """Unit and the longest extents (from, to) at which it is the likely one for furniture, tools and vehicles."""
+UNIT_WORDS = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
+OTHER_UNIT = 8.0
+"""So many times as large or small as the middle of its folder a file is in another unit: the next is 10 times."""
 
 
 @dataclass(frozen=True, eq=False)
 class FilePreview:
     """One file: what was read, or why it was not (``problem`` and ``remedy``).
 
-    ``size`` (3,) is width, height, depth in the file's unit once turned; ``rotation`` what "auto" would turn it by, as
+    ``size`` (3,) is width, height, depth in the file's unit once turned; ``unit`` what is likely for the file by itself
+    (see ``FolderUnit`` for all of them); ``rotation`` what "auto" would turn it by, as
     it stands alone: at the end of the import the files agree among themselves.  ``of`` is how many files there are.
     """
 
@@ -77,20 +82,69 @@ def likely_unit(longest: float) -> str:
     return next((unit for unit, low, high in UNITS if low <= longest < high), "")
 
 
-def size_words(preview: FilePreview) -> str:
+@dataclass(frozen=True)
+class FolderUnit:
+    """The unit of files that belong together: the ``unit`` that more than half of them have by themselves.
+
+    ``unit`` is None where there is no such: then each has its own.  ``middle`` is the median of the longest extents of
+    the files that agree.
+    """
+
+    unit: str | None = None
+    middle: float = 0.0
+
+    def times(self, preview: FilePreview) -> float:
+        """How many times as large as the others a file is whose unit is another (below 1: smaller); 1 where it is not.
+
+        What is merely a little larger than the others is in their unit, even where by itself it had another one.
+        """
+        longest = max(preview.size)
+        if self.unit is None or preview.unit == self.unit or longest <= 0:
+            return 1.0
+        times = longest / self.middle
+        return times if max(times, 1 / times) >= OTHER_UNIT else 1.0
+
+    def of(self, preview: FilePreview) -> str:
+        """The unit of a file among the others."""
+        return preview.unit if self.unit is None or self.times(preview) != 1.0 else self.unit
+
+
+def folder_unit(seen: Sequence[FilePreview]) -> FolderUnit:
+    """What most files agree on.  "" (such files were scaled) is agreed on like a unit."""
+    read = [one for one in seen if not one.problem]
+    if not read:
+        return FolderUnit()
+    unit, count = Counter(one.unit for one in read).most_common(1)[0]
+    if 2 * count <= len(read):
+        return FolderUnit()
+    return FolderUnit(unit, float(np.median([max(one.size) for one in read if one.unit == unit])))
+
+
+def size_words(preview: FilePreview, folder: FolderUnit | None = None) -> str:
     """Width × height × depth with the likely unit, "?" since it is a guess: "0.5 × 0.9 × 0.6 m?"."""
     words = " × ".join(f"{value:.3g}" for value in preview.size)
-    return f"{words} {preview.unit}?" if preview.unit else words
+    unit = (folder or FolderUnit()).of(preview)
+    return f"{words} {unit}?" if unit else words
+
+
+def other_unit_words(preview: FilePreview, folder: FolderUnit) -> str:
+    """That a file seems to be in another unit than the others: "1 000 times as large as the others"; "" if it isn't."""
+    times = folder.times(preview)
+    if times == 1.0:
+        return ""
+    number, what = (times, "large") if times > 1 else (1 / times, "small")
+    return f"{float(f'{number:.2g}'):,.0f} times as {what} as the others".replace(",", "\u202f")
 
 
 def summary(seen: Sequence[FilePreview]) -> str:
     """One sentence on all files seen so far: how many can be read, their unit, how many seem to lie."""
     read = [one for one in seen if not one.problem]
     text = f"{len(read)} of {len(seen)} can be read"
-    units = [one.unit for one in read if one.unit]
-    if units:
-        words = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
-        text += f" · sizes look like {words[max(sorted(set(units)), key=units.count)]}"
+    folder = folder_unit(seen)
+    if folder.unit:
+        text += f" · sizes look like {UNIT_WORDS[folder.unit]}"
+        others = sum(folder.times(one) != 1.0 for one in read)
+        text += f", of {others} not" if others else ""
     lying = sum(one.up.startswith("turned") for one in read)
     return text + (f" · {lying} seem{'s' * (lying == 1)} not to stand upright" if lying else "")
 

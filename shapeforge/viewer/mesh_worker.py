@@ -93,6 +93,12 @@ class MeshWorker:
             self._asked_besides += 1
             self._wake.notify()
 
+    def ask_besides_too(self, wish: Wish) -> None:
+        """Make this, too, after the others asked for besides; its mesh takes the place of one with its number."""
+        with self._wake:
+            self._besides.append(wish)
+            self._wake.notify()
+
     def made_besides(self) -> dict[int, Made]:
         """Those made so far, by the number of their wish."""
         with self._wake:

@@ -25,6 +25,7 @@ from shapeforge.viewer.fit_record import FitRecord
 from shapeforge.viewer.notebook_desk import NotebookDesk, action_button, show_verdict
 from shapeforge.viewer.palette import as_hex, group_colours, rgb, tokens
 from shapeforge.viewer.pictures import contact_sheet, shape_picture, take_picture
+from shapeforge.viewer.report_sections import phases_of
 from shapeforge.viewer.sculptor import Recipe, Sculptor
 from shapeforge.viewer.sculpture import measure_words
 from shapeforge.viewer.session import Session
@@ -193,6 +194,7 @@ class FitView(_Watching):
             numbers, energy = [r.number for r in rounds], [r.energy for r in rounds]
             lines = [svg.Series("energy", energy)]
             words = {"x_label": "round", "y_label": "energy (nats a point)", "title": "Energy of the fit by round"}
+            words |= {"phases": phases_of(rounds[-1].family_from, rounds[-1].number)}
             self.plot.value = styled(svg.curve(numbers, lines, **words, width=520, height=200), self.session.theme)
 
     def _view(self, name: str, number: int) -> View:
@@ -337,6 +339,7 @@ def styled(plot: str, theme: str) -> str:
     colours = tokens(theme)
     variables = "".join(f"--{name}:{colour};" for name, colour in colours.items())
     rules = ".grid{stroke:var(--separator)}.tick,.label{fill:var(--text_2);font-size:11px}"
+    rules += ".divider{stroke:var(--text_2)}"
     return f'<div style="{variables}background:{colours["panel"]};width:fit-content"><style>{rules}</style>{plot}</div>'
 
 

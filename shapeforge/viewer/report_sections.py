@@ -16,6 +16,10 @@ from shapeforge.viewer.report_html import dot, image, number, percent, table
 
 CARD, FACE, WIDE = (112, 112), (168, 168), (150, 150)
 BUNDLES = 3  # of the second layer, shown below the directions
+ANOTHER_SUM = (
+    "Right of the line the family's own templates are fitted: their energy is another sum over other points, "
+    "not to be compared with that of the exemplars' templates, and their spread begins anew."
+)
 
 
 def _part_names(project: Any) -> tuple[str, ...]:
@@ -179,20 +183,22 @@ def fit(project: Any) -> str:
     if record is None or project.fit_id is None:
         return ""
     summary = record.get("summary") or {}
-    plots = []
+    plots, phases = [], phases_of(getattr(project.fit(), "family_from", -1), len(project.round_figures()) - 1)
     energies = recorded_energies(project)
     if len(energies) > 1:
         plots.append(
             svg.curve(range(1, len(energies) + 1), [svg.Series("energy", energies)], x_label="round",
-                      y_label="energy (nats a point)", title="Energy of the fit by round")
+                      y_label="energy (nats a point)", title="Energy of the fit by round", phases=phases)
         )  # fmt: skip
     moved = recorded_movement(project)
     if len(moved) > 1:
-        lines = [svg.Series("mean", moved.mean(axis=1)), svg.Series("most", moved.max(axis=1), "var(--warning)")]
+        told = [row[np.isfinite(row)] for row in moved]
+        mean, most = ([float(of(row)) if len(row) else np.nan for row in told] for of in (np.mean, np.max))
+        lines = [svg.Series("mean", mean), svg.Series("most", most, "var(--warning)")]
         title = "Mean movement of the template points: over all shapes, and of the shape that moved most"
         plots.append(
             svg.curve(range(1, len(moved) + 1), lines, x_label="round", y_label="movement (diagonals)", from_zero=True,
-                      title=title)
+                      title=title, phases=phases)
         )  # fmt: skip
     facts = [
         ("rounds", summary.get("rounds")),
@@ -201,7 +207,16 @@ def fit(project: Any) -> str:
         ("stopped because", summary.get("stop_reason")),
     ]
     rows = [[escape(words), number(value)] for words, value in facts if value is not None]
-    return f"<div class=plots>{''.join(f'<figure>{p}</figure>' for p in plots)}{table(rows)}</div>"
+    said = "" if phases is None else f"<p class=note>{ANOTHER_SUM}</p>"
+    return f"<div class=plots>{''.join(f'<figure>{p}</figure>' for p in plots)}{table(rows)}</div>{said}"
+
+
+def phases_of(family_from: int, newest: int) -> tuple[float, str, str] | None:
+    """Where a curve over rounds up to the ``newest`` is cut for ``svg.curve``: between the exemplars' and the family's.
+
+    ``family_from`` is the round with which the exemplars were done; None where no round of the family came after it.
+    """
+    return (family_from + 0.5, "exemplars", "family") if 0 <= family_from < newest else None
 
 
 def recorded_energies(project: Any) -> list[float]:
@@ -210,11 +225,13 @@ def recorded_energies(project: Any) -> list[float]:
 
 
 def recorded_movement(project: Any) -> np.ndarray:
-    """Mean movement (rounds - 1, T) of each shape's template points between recorded rounds, in diagonals."""
+    """Mean movement (rounds - 1, T) of each shape's template points between recorded rounds, in diagonals.
+
+    NaN where another template explains the shape from one round to the next.
+    """
     columns, templates = [], [figures["template"] for figures in project.round_figures()]
     for index, name in enumerate(project.fit_names):
         rounds = [np.asarray(points, float) for points in project.rounds(name)]
-        # another template may explain a shape from one round to the next: then there is no movement to tell
         columns.append(
             [
                 np.linalg.norm(rounds[n + 1] - rounds[n], axis=1).mean()
@@ -226,8 +243,7 @@ def recorded_movement(project: Any) -> np.ndarray:
     short = min((len(column) for column in columns), default=0)
     if not short:
         return np.zeros((0, 0))
-    table = np.array([column[:short] for column in columns]).T
-    return np.where(np.isfinite(table), table, 0.0)
+    return np.array([column[:short] for column in columns]).T
 
 
 def directions(project: Any) -> str:
@@ -262,7 +278,8 @@ def directions(project: Any) -> str:
             for points, shown in ((low, colours), (half, between), (high, colours))
         ]
         words = ("at 0", "at ½", "at 1") if of_bundle else ("low end", "what moves", "high end")
-        three = "".join(image(p, f"{direction.name}, {w}") for p, w in zip(pictures, words, strict=True))
+        shown = zip(pictures, words, strict=True)
+        three = "".join(f"<span>{image(p, f'{direction.name}, {w}')}<small>{w}</small></span>" for p, w in shown)
         bars = svg.histogram(
             direction.histogram, direction.edges, title="shapes of the family along this slider", width=450
         )

@@ -100,15 +100,19 @@ class Sculptor:
         hidden = [sigmoid(logit(layer[members]).mean(axis=0, keepdims=True)) for layer in self.latents.layers]
         return Latents(tuple(hidden), patterns[counts.argmax()][None])
 
-    def random_base(self) -> Latents:
+    def random_base(self, number: int | None = None, turn: int = 0) -> Latents:
         """A draw from the learnt distribution; the n-th draw of a project is always the same for the same wishes.
+
+        None is the next ``number``; ``turn`` counts other draws in place of that one, if its parts do not go together.
 
         The parts that ``session.parts_on`` asks for are there or not, as they are asked for; points stay where they are
         pinned, and units whose sliders are locked where they are; ``session.temperature`` says how unusual,
         ``session.near`` whether to stay near the shape in hand.
         """
-        session, self.draws = self.session, self.draws + 1
-        rng = np.random.default_rng([7, self.draws])
+        session = self.session
+        if number is None:
+            number = self.draws = self.draws + 1
+        rng = np.random.default_rng([7, number, turn] if turn else [7, number])
         needed = np.array(sorted(part for part, on in session.parts_on.items() if on), np.int64)
         unwanted = np.array(sorted(part for part, on in session.parts_on.items() if not on), np.int64)
         values, present = self.values(), self.exists()
@@ -127,10 +131,11 @@ class Sculptor:
         exists[needed], exists[unwanted] = True, False
         return replace(found, exists=exists[None])
 
-    def drawn(self) -> Recipe:
-        """The recipe of a draw: pins, locked sliders and switched parts are kept to."""
-        base = self.random_base()
-        return Recipe("random", base, origin=f"draw {self.draws}", **self._now() | {"sliders": self.kept(base)})
+    def drawn(self, number: int | None = None, turn: int = 0) -> Recipe:
+        """The recipe of a draw (see ``random_base``): pins, locked sliders and switched parts are kept to."""
+        base = self.random_base(number, turn)
+        origin = f"draw {number or self.draws}"
+        return Recipe("random", base, origin=origin, **self._now() | {"sliders": self.kept(base)})
 
     def base_of(self, name: str) -> Latents:
         """The latents of a shape of the family."""
@@ -152,6 +157,11 @@ class Sculptor:
         del self.recipes[self.done + 1 :]
         self.recipes.append(recipe)
         self.done = len(self.recipes) - 1
+        self._take_over(recipe)
+
+    def exchange(self, recipe: Recipe) -> None:
+        """Make another shape of the present item of the history."""
+        self.recipes[self.done] = recipe
         self._take_over(recipe)
 
     def keep(self, label: str) -> None:

@@ -31,9 +31,12 @@ def heated(sculptor: Sculptor, layer: Layer, points: Float[np.ndarray, "K 3"], i
 
 def display(
     layers: tuple[Layer, ...], made: Made | None, label: str, busy: bool, marks: tuple[Mark, ...] = (),
-    moves: bool = False, *, failed: bool = False, n_pins: int = 0,
+    moves: bool = False, *, failed: bool = False, n_pins: int = 0, turn: int = 0,
 ) -> Display:  # fmt: skip
-    """The shape with what is known about it in the corners; it ``moves`` while something is dragged."""
+    """The shape with what is known about it in the corners; it ``moves`` while something is dragged.
+
+    ``turn`` counts the draws that were put aside for it so far, as their parts did not go together.
+    """
     lines = (("points only: the mesh could not be made", "error"),) if failed else _size_words(made)
     captions = [Caption("top left", ((label, "strong"), *lines))]
     if made is not None:
@@ -41,7 +44,8 @@ def display(
         captions.append(Caption("top right", ((origin_words(made.shape.sources), "plain"), (nearest, "plain"))))
         captions.append(Caption("bottom right", ((measure_words(made.shape.measures), "plain"),)))
     if busy:
-        captions.append(Caption("bottom left", (("making the mesh…", "faint"),)))
+        words = f"the parts did not go together: another draw ({turn + 1})…" if turn else "making the mesh…"
+        captions.append(Caption("bottom left", ((words, "faint"),)))
     else:
         pins = f"{n_pins} point{'s' * (n_pins != 1)} pinned; Ctrl+click or Delete takes a pin away"
         words = pins if n_pins else "Drag a handle on the shape, the rest follows"
@@ -70,7 +74,20 @@ def _size_words(made: Made | None) -> tuple[tuple[str, str], ...]:
     if "not_united" in measures:
         why = str(measures["not_united"]).removeprefix("union: ").partition(";")[0]
         lines.append((f"not one solid: {why}", "warning"))
-    return tuple(lines)
+    apart = "" if made.preview else apart_words(measures)
+    return (*lines, (apart, "warning")) if apart else tuple(lines)
+
+
+def apart_words(measures: Mapping[str, Any]) -> str:
+    """That the parts of a made mesh do not go together, "" where they do (see ``stages_synthesis.fault_of``)."""
+    from shapeforge.stages_synthesis import APART, UNLIKE
+
+    gap, unlike = measures.get("largest_gap"), measures.get("distance_from_draw") or 0.0
+    if gap is None:
+        return ""
+    if gap > APART:
+        return f"parts stay {100 * gap:.1f}% of size apart"
+    return f"no parts go there: {100 * unlike:.0f}% of size off the points" if unlike > UNLIKE else ""
 
 
 def measure_words(measures: Mapping[str, Any]) -> str:
@@ -85,4 +102,6 @@ def measure_words(measures: Mapping[str, Any]) -> str:
     if "folded_triangles" in measures:
         folded = int(measures["folded_triangles"])
         words.append(f"{folded} folded triangle{'s' * (folded != 1)}")
+    if measures.get("redrawn"):
+        words.append(f"{measures['redrawn']} other draw{'s' * (measures['redrawn'] != 1)} put aside")
     return " · ".join(words)

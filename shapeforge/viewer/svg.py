@@ -29,10 +29,15 @@ def curve(
     y_label: str,
     title: str,
     from_zero: bool = False,
+    phases: tuple[float, str, str] | None = None,
     width: int = 560,
     height: int = 240,
 ) -> str:
-    """Lines over ``at`` with ticks, axis labels (units belong into them) and, for more than one line, their names."""
+    """Lines over ``at`` with ticks, axis labels (units belong into them) and, for more than one line, their names.
+
+    ``phases`` are a place of ``at`` and what comes before and after it: there stands a line that none of the lines
+    crosses, as what they tell of is not the same on its two sides.
+    """
     x = np.asarray(at, dtype=float)
     lines = [np.asarray(one.values, dtype=float) for one in series]
     if not lines or any(len(line) != len(x) for line in lines):
@@ -43,7 +48,7 @@ def curve(
     ticks = nice_ticks(min(float(known.min()), 0.0) if from_zero else float(known.min()), float(known.max()))
     low, high = ticks[0], ticks[-1]
     x_low, x_high = float(x.min()), float(x.max()) if x.max() > x.min() else float(x.min()) + 1
-    top = TOP + 20 * (len(series) > 1)  # room for the names
+    top = TOP + 20 * (len(series) > 1) + 16 * (phases is not None)  # room for the names
     inner = (width - LEFT - RIGHT, height - top - BOTTOM)
 
     def place(a: float, b: float) -> tuple[float, float]:
@@ -62,19 +67,33 @@ def curve(
         )
     for one, line in zip(series, lines, strict=True):
         there = np.isfinite(line)
-        parts += _line([place(a, b) for a, b in zip(x[there], line[there], strict=True)], one.colour)
+        divider = np.inf if phases is None else phases[0]
+        for run in (there & (x < divider), there & (x >= divider)):
+            if run.any():
+                points = [place(a, b) for a, b in zip(x[run], line[run], strict=True)]
+                parts += _line(points, one.colour, dots=bool(there.sum() <= 40))
+    if phases is not None:
+        parts += _divider(place(phases[0], low)[0], phases[1:], top, top + inner[1])
     parts += _axis_labels(x_label, y_label, LEFT + inner[0] / 2, top + inner[1] / 2, height)
     if len(series) > 1:
         parts += _names(series, width - RIGHT)
     return "".join(parts) + "</svg>"
 
 
-def _line(points: Sequence[tuple[float, float]], colour: str) -> list[str]:
-    """A line through ``points`` (pixels), each marked by a dot if they are few."""
+def _line(points: Sequence[tuple[float, float]], colour: str, *, dots: bool) -> list[str]:
+    """A line through ``points`` (pixels), each marked by a dot if asked."""
     path = " ".join(f"{a},{b}" for a, b in points)
     found = [f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="2"/>']
-    if len(points) <= 40:
+    if dots:
         found += [f'<circle cx="{a}" cy="{b}" r="2.6" fill="{colour}"/>' for a, b in points]
+    return found
+
+
+def _divider(across: float, names: tuple[str, str], top: int, bottom: int) -> list[str]:
+    """An upright line at ``across`` (pixels), and the names of what lies before and behind it."""
+    found = [f'<line class="divider" x1="{across}" x2="{across}" y1="{top - 16}" y2="{bottom}"/>']
+    for words, at, anchor in zip(names, (across - 8, across + 8), ("end", "start"), strict=True):
+        found.append(f'<text class="tick" x="{at}" y="{top - 6}" text-anchor="{anchor}">{escape(words)}</text>')
     return found
 
 
@@ -87,7 +106,7 @@ def _axis_labels(x_label: str, y_label: str, across: float, middle: float, heigh
     ]
 
 
-def _names(series: Sequence[Series], right: float) -> list[str]:
+def _names(series: Sequence[Series], right: int) -> list[str]:
     """The names of the lines, the last one ending at ``right``."""
     found, across = [], right
     for one in reversed(series):

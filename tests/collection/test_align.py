@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from shapeforge.collection._kernels_align import nearest_both_ways
-from shapeforge.collection.align import Alignment, affine_align, dissimilarity, median_of, thinned
+from shapeforge.collection import align
+from shapeforge.collection._kernels_align import (
+    determinant,
+    median_of,
+    nearest_both_ways,
+    solved,
+    within_bounds,
+)
+from shapeforge.collection.align import Alignment, affine_align, dissimilarity, thinned
 
 
 def box_points(rng: np.random.Generator, size, centre, count: int) -> np.ndarray:
@@ -108,8 +115,40 @@ def test_thinned_keeps_order_and_ends(rng):
 @pytest.mark.parametrize("count", [1, 2, 7, 600, 601])
 def test_the_quick_median_is_numpys_to_the_bit(rng, count: int):
     values = rng.random(count).astype(np.float32)
-    ours, theirs = median_of(values), np.median(values)
+    ours, theirs = np.float32(median_of(values, np.empty(700, np.float32))), np.median(values)
     assert ours == theirs and ours.dtype == theirs.dtype
+
+
+def test_three_by_three_equals_numpy(rng):
+    out = np.empty((3, 3))
+    for _ in range(20):
+        root, cross, start = rng.normal(size=(3, 3, 3))
+        second, pull = root @ root.T, rng.random() + 0.1
+        solved(second, cross, start, pull, out)
+        np.testing.assert_allclose(out @ (second + pull * np.eye(3)), cross + pull * start, atol=1e-9)
+        assert determinant(root) == pytest.approx(np.linalg.det(root), abs=1e-12)
+
+
+def test_bounds_are_those_of_the_stretches_and_the_shear(rng):
+    answers = []
+    for _ in range(300):
+        matrix, start = np.eye(3) + rng.normal(size=(2, 3, 3)) * [[[0.25]], [[0.05]]]
+        back = np.linalg.inv(start)
+        stretch = np.linalg.svd(matrix)[1]
+        shear = np.abs((matrix @ back)[~np.eye(3, dtype=bool)]).max()
+        wanted = np.linalg.det(matrix) > 0 and stretch[2] > 0.5 and stretch[0] < 1.8 and shear < 0.5
+        assert within_bounds(matrix, back, 0.5, 1.8, 0.5) == wanted
+        answers.append(wanted)
+    assert 0.1 < np.mean(answers) < 0.9
+    assert not within_bounds(np.full((3, 3), np.nan), np.eye(3), 0.5, 1.8, 0.5)
+
+
+def test_a_map_that_would_leave_its_bounds_is_kept_within(rng):
+    source = box_points(rng, (1, 1, 1), (0, 0, 0), 500)
+    for wanted in (np.diag([6.0, 1.0, 1.0]), np.diag([0.1, 1.0, 1.0])):
+        found = affine_align(source, source @ wanted.T, starts=("identity",))
+        stretch = np.linalg.svd(found.matrix)[1]
+        assert align.SMALLEST_STRETCH - 1e-9 <= stretch[2] and stretch[0] <= align.LARGEST_STRETCH + 1e-9
 
 
 def test_errors_name_the_argument(rng):

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from shapeforge.collection.iterate import last
-from shapeforge.generative.draw import draw, fit_mixture
+from shapeforge.generative.draw import Mixture, draw, draw_codes, fit_mixture
 from shapeforge.generative.evidence import between, draw_given
 from shapeforge.generative.inference import decode, expected_at, expected_values, infer, logit
 from shapeforge.generative.landmarks import follow
 from shapeforge.generative.learning import learn_machine
 from shapeforge.generative.machine import layer_sizes
 from shapeforge.generative.observations import observe
+from shapeforge.generative.structure import fit_structure
 from tests.generative.synthetic import PART_NAMES, chair_family
 
 
@@ -86,6 +87,19 @@ def test_clamped_units_stay_and_shapes_suit_them(learned):
         assert np.abs(seen[part]) < 0.2 or np.sign(drawn[part]) == np.sign(seen[part])
 
 
+def test_held_units_stay_where_points_are_given_as_well(learned):
+    _, test, machine, mixture = learned
+    truth, known = landmarks_of(test, 0)
+    given, clamped = np.isfinite(known[:, 0]), {(2, 1): 1.0, (1, 4): 0.0, (0, 3): 1.0}
+    settings = {"points": known, "clamped": clamped, "exists": test.exists[0]}
+    found = draw_given(machine, mixture, 8, rng=np.random.default_rng(0), **settings)
+    for (layer, unit), value in clamped.items():
+        np.testing.assert_allclose(found.latents.layers[layer][:, unit], value, atol=1e-5)
+    free = draw(machine, mixture, 60, rng=np.random.default_rng(0), exists=test.exists[0])
+    missed = [np.linalg.norm(d.points[:, given] - truth[given], axis=2).mean() for d in (found, free)]
+    assert missed[0] < 0.7 * missed[1]
+
+
 def test_what_cannot_be_is_refused(learned):
     _, test, machine, mixture = learned
     with pytest.raises(ValueError, match="clamped"):
@@ -118,6 +132,25 @@ def test_parts_asked_for_are_there_and_the_rest_is_as_the_family_has_it(learned)
     assert {tuple(row) for row in drawn.exists} <= seen
     with pytest.raises(ValueError, match="arms"):
         draw_given(machine, mixture, 1, rng=np.random.default_rng(0), needed=needed, unwanted=needed)
+
+
+def test_parts_that_no_shape_has_together_get_the_rest_that_goes_with_them():
+    """Legs, or a column with its base; arms on legs only, so far.  Arms on a column: the base comes too, legs don't."""
+    wrong = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        column = rng.random(120) < 0.4
+        exists = np.column_stack([~column, column, column, ~column & (rng.random(120) < 0.5)])
+        patterns, which = np.unique(exists, axis=0, return_inverse=True)
+        mixture = Mixture(rng.normal(size=(120, 5)).astype(np.float32), np.array([5]), patterns, which.reshape(-1))
+        structure, needed = fit_structure(exists, rng=rng), np.array([1, 3])
+        _, nearest = draw_codes(mixture, 200, rng=rng, needed=needed)
+        _, told = draw_codes(mixture, 200, rng=rng, needed=needed, structure=structure)
+        assert told[:, needed].all()
+        wrong.append([1 - (states == [False, True, True, True]).all(axis=1).mean() for states in (nearest, told)])
+        _, seen = draw_codes(mixture, 200, rng=rng, needed=needed[:1], structure=structure)
+        assert (seen == [False, True, True, False]).all(), "what shapes have stays as they have it"
+    assert np.mean(wrong, axis=0)[1] < 0.65 * np.mean(wrong, axis=0)[0], wrong
 
 
 def test_draws_near_a_shape_come_nearer_as_the_temperature_falls(learned):

@@ -16,11 +16,11 @@ from shapeforge.store import Project
 from shapeforge.store_arrays import read_record, write_record
 from shapeforge.viewer.display import PointLayer
 from shapeforge.viewer.fit_display import FittedPoints, TemplateLook, movement, point_colours, sureness, to_plane
-from shapeforge.viewer.palette import SWITCHED_OFF, part_colours, rgb
+from shapeforge.viewer.palette import SWITCHED_OFF, part_colours, rgb, tokens
 from shapeforge.viewer.qt.fit_panel import FitPlace
-from shapeforge.viewer.qt.fit_report import existence_text
+from shapeforge.viewer.qt.fit_report import energy_text, existence_text
 from shapeforge.viewer.qt.fit_widgets import draw_points
-from shapeforge.viewer.qt.plots import nice_ticks
+from shapeforge.viewer.qt.plots import Curves, nice_ticks
 from shapeforge.viewer.readiness import QUALITIES
 from tests.viewer.turned import turn_shape
 
@@ -424,6 +424,50 @@ def test_energy_movement_and_spread_are_the_fits_own(open_window, fitted, qtbot)
     ink = place.report.change.grab().toImage()
     columns = [ink.pixelColor(ink.width() // 2, y).name() for y in range(ink.height())]
     assert len(set(columns)) > 1, "a curve is drawn"
+    begun = fitted.fit().family_from
+    assert place.record.family_after == begun and 0 <= begun < place.record.newest
+    assert place.report.phase_text.isVisible() and "another sum" in place.report.phase_text.text()
+    first = energy_text(place.record, begun + 1)
+    assert first.startswith(f"{figures[begun + 1]['energy']:.3f} nats: the first round of the family".replace("-", "−"))
+    assert "This round" not in first, "nothing got better or worse: it is another sum"
+
+
+INK = "#ff0000"
+
+
+def inked(curves: Curves) -> set[int]:
+    """Columns of pixels with the curve's red in them."""
+    shot = curves.grab().toImage()
+    columns = range(shot.width())
+    return {x for x in columns for y in range(shot.height()) if redness(shot.pixelColor(x, y)) > 100}
+
+
+def redness(colour: QColor) -> int:
+    return colour.red() - colour.green()
+
+
+def test_no_curve_goes_from_one_phase_into_the_next(qtbot):
+    curves = Curves(height=90, phases=("exemplars", "family"))
+    qtbot.addWidget(curves)
+    curves.resize(44 + 8 + 200, 90)
+    curves.set_series([(range(11), [5.0, 4.0, 3.0, 2.0, 1.0, 1.0, 1.0, 5.0, 4.0, 4.0, 4.0], INK)], 10, None)
+    between = set(range(44 + 6 * 20 + 4, 44 + 7 * 20 - 4))
+    assert between <= inked(curves), "one curve"
+    curves.set_phase(6)
+    cut = inked(curves)
+    assert not between & cut
+    assert all(set(range(44 + n * 20 + 4, 44 + n * 20 + 16)) & cut for n in (0, 4, 5, 7, 8, 9)), "the rest is drawn"
+    shot, grey = curves.grab().toImage(), {tokens("dark")["separator_strong"].lower()}
+    assert {shot.pixelColor(44 + 130, y).name() for y in range(12, 60)} == grey, "a line stands between them"
+
+
+def test_a_phase_of_one_round_is_seen(qtbot):
+    curves = Curves(height=90)
+    qtbot.addWidget(curves)
+    curves.resize(252, 90)
+    curves.set_series([(range(4), [5.0, 4.0, 3.0, 4.0], INK)], 10, 0.0)
+    curves.set_phase(2)
+    assert inked(curves) & set(range(44 + 60 - 2, 44 + 60 + 3))
 
 
 def test_a_fit_that_became_stale_says_so(open_window, fitted, qtbot):

@@ -8,7 +8,15 @@ import pytest
 from PySide6.QtCore import Qt
 
 from shapeforge.store import Project
-from shapeforge.viewer.import_preview import likely_unit, previews, summary
+from shapeforge.viewer.import_preview import (
+    FilePreview,
+    folder_unit,
+    likely_unit,
+    other_unit_words,
+    previews,
+    size_words,
+    summary,
+)
 from shapeforge.viewer.palette import tokens
 from shapeforge.viewer.recent import recent_projects, remember
 from tests.viewer.test_window import drop
@@ -54,6 +62,44 @@ def test_every_file_is_seen_before_it_is_imported(models):
     assert words.startswith("3 of 4 can be read") and "1 seems not to stand upright" in words
 
 
+def files_of(*longest: float) -> list[FilePreview]:
+    """Previews of files that are so large."""
+    return [
+        FilePreview(f"{i}", Path(f"{i}.obj"), len(longest), 10, (0.5 * one, one, 0.4 * one), likely_unit(one))
+        for i, one in enumerate(longest)
+    ]
+
+
+@pytest.mark.parametrize("scale", [1.0, 30.0, 900.0])
+def test_files_of_a_folder_are_in_one_unit(scale):
+    """Some are on the other side of a bound by themselves, one had been scaled to 1: none is another kind of file."""
+    low, high = {1.0: (0.7, 13.0), 30.0: (11.0, 90.0), 900.0: (300.0, 4000.0)}[scale]
+    files = files_of(low, scale * 1.1, scale * 1.2, scale * 2, scale * 3, high)
+    folder = folder_unit(files)
+    assert folder.unit == likely_unit(scale * 1.1) and len({one.unit for one in files}) == 2
+    kin = [one for one in files if max(one.size) / folder.middle < 8]
+    assert all(size_words(one, folder).endswith(f" {folder.unit}?") for one in kin) and len(kin) >= 5
+    assert not any(other_unit_words(one, folder) for one in kin)
+
+
+def test_a_file_in_another_unit_is_marked():
+    files = files_of(0.9, 0.8, 1.1, 0.85, 2.0, 870.0, 88.0)
+    folder = folder_unit(files)
+    assert [size_words(one, folder).split()[-1] for one in files] == ["m?"] * 5 + ["mm?", "cm?"]
+    assert [other_unit_words(one, folder) for one in files[:5]] == [""] * 5
+    assert other_unit_words(files[5], folder) == "970 times as large as the others"
+    assert "metres, of 2 not" in summary(files)
+    large = files_of(870.0, 900.0, 0.9)
+    assert other_unit_words(large[2], folder_unit(large)) == "980 times as small as the others"
+
+
+def test_without_a_majority_every_file_has_its_own_unit():
+    files = files_of(0.9, 0.8, 870.0, 900.0)
+    folder = folder_unit(files)
+    assert folder.unit is None and [size_words(one, folder).split()[-1] for one in files] == ["m?", "m?", "mm?", "mm?"]
+    assert folder_unit([]).unit is None and "look like" not in summary(files)
+
+
 def has_tick(dialog, line: int) -> bool:
     """Whether a tick is seen in the box before a name."""
     table = dialog.table
@@ -73,6 +119,9 @@ def test_a_drop_shows_what_was_found_and_imports_what_is_ticked(open_window, qtb
     assert set(rows) == {"a", "lying", "large", "notes"}
     assert dialog.table.item(rows["notes"], 3).text().startswith("not read")
     assert dialog.start.text() == "Import 3 shapes"
+    assert [dialog.table.item(rows[name], 2).text().split()[-1] for name in ("a", "large")] == ["m?", "mm?"]
+    assert dialog.table.item(rows["large"], 3).text().startswith("1\u202f000 times as large as the others · ")
+    assert "times" not in dialog.table.item(rows["lying"], 3).text()
     qtbot.waitUntil(lambda: dialog.pictures.waiting == 0, timeout=60000)
     icon = dialog.table.item(rows["a"], 0).icon().pixmap(40, 40).toImage()
     assert any(icon.pixelColor(x, y).alpha() > 100 for x in range(icon.width()) for y in range(icon.height()))

@@ -17,7 +17,7 @@ from shapeforge.viewer import likeness, svg
 from shapeforge.viewer.pictures import close_studio
 from shapeforge.viewer.report import chosen_shapes, report_text, write_report
 from shapeforge.viewer.report_measures import flattened
-from shapeforge.viewer.report_sections import BUNDLES, parts, recorded_movement
+from shapeforge.viewer.report_sections import BUNDLES, fit, parts, phases_of, recorded_movement
 from tests.viewer.learned_family import learned_family
 
 
@@ -99,7 +99,8 @@ def test_page_stands_alone_and_is_whole(whole):
 
 
 def test_every_shape_is_there_three_times_and_looks_different(whole):
-    page = Page(report_text(whole))
+    text = report_text(whole)
+    page = Page(text)
     by_alt = {image["alt"]: picture for image, picture in pictures_of(page)}
     for name in whole.names:
         given, parts, places = (by_alt[f"{name}, {words}"] for words in ("as given", "parts", "correspondence"))
@@ -114,6 +115,7 @@ def test_every_shape_is_there_three_times_and_looks_different(whole):
     for shown, words in ((whole.directions(), ("low end", "high end")), (found, ("at 0", "at ½", "at 1"))):
         assert shown and all(f"{one.name}, {end}" in by_alt for one in shown for end in words)
         assert sum(image["alt"].endswith(words[0]) for image in page.images) == len(shown)
+        assert all(text.count(f"<small>{end}</small>") == len(shown) for end in words)
     low, half, high = (by_alt[f"{found[0].name}, {end}"].astype(int) for end in ("at 0", "at ½", "at 1"))
     assert not np.array_equal(low, half) and not np.array_equal(half, high), "a bundle must be seen to do something"
     for name in whole.draws()["names"]:
@@ -229,6 +231,25 @@ def test_curve_draws_what_it_is_given():
     assert "t &amp; u" in text and "nats" in text
     with pytest.raises(ValueError, match="series: wanted lines of 2 values"):
         svg.curve([0, 1], [svg.Series("a", [1.0])], x_label="", y_label="", title="")
+
+
+def test_a_curve_is_cut_where_another_phase_begins():
+    words = {"x_label": "", "y_label": "", "title": ""}
+    energy = [svg.Series("energy", [3.0, 2.0, 1.0, 4.0, 3.0])]
+    text = svg.curve([1, 2, 3, 4, 5], energy, **words, phases=(3.5, "exemplars", "fa<mily"))
+    lines = [[float(p.split(",")[0]) for p in found.split()] for found in re.findall(r'points="([^"]+)"', text)]
+    divider = float(re.search(r'class="divider" x1="([\d.]+)"', text).group(1))
+    assert [len(line) for line in lines] == [3, 2] and lines[0][-1] < divider < lines[1][0]
+    assert ">exemplars</text>" in text and ">fa&lt;mily</text>" in text
+    whole = svg.curve([1, 2, 3, 4, 5], energy, **words)
+    assert len(re.findall("<polyline", whole)) == 1 and "divider" not in whole
+
+
+def test_the_fit_s_curves_are_cut_where_the_family_s_rounds_begin(whole):
+    begun, page = whole.fit().family_from, fit(whole)
+    assert phases_of(begun, len(whole.round_figures()) - 1) == (begun + 0.5, "exemplars", "family")
+    assert page.count('class="divider"') == page.count("<svg") >= 1 and "another sum" in page
+    assert phases_of(-1, 8) is None and phases_of(8, 8) is None, "no round of the family so far"
 
 
 def test_histogram_bars_fill_their_bins():

@@ -150,7 +150,9 @@ def test_pinned_points_stay_while_others_are_moved(sculptor):
     session.pins = dict(reversed(wanted.items()))
     assert np.array_equal(np.nan_to_num(both), np.nan_to_num(sculptor.points()))
     missed = {k: (off_by(both, k, wanted[k]), off_by(points, k, wanted[k])) for k in wanted}
-    assert all(after < 0.6 * before for after, before in missed.values()), missed
+    # a point that was nearly there from the start stays so
+    assert all(after < max(0.6 * before, 0.01) for after, before in missed.values()), missed
+    assert max(before for _, before in missed.values()) > 0.03
     assert off_by(both, first, wanted[first]) < off_by(alone, first, wanted[first]) + 0.01
     assert np.abs(values - sculptor.home()).max() > 0.05, "sliders show what comes of it"
     sculptor.lock(0, True)

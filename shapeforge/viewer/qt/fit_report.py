@@ -27,6 +27,10 @@ from shapeforge.viewer.qt.widgets import (
 from shapeforge.viewer.readiness import Verdict, planned_rounds
 from shapeforge.viewer.session import Session
 
+PHASES = ("exemplars", "family")
+ANOTHER_SUM = "From the line on, the family's own templates: another sum, not to be compared."
+"""Why the curves begin anew there."""
+
 
 class OffNote(QFrame):
     """Why a part is off on the shape, where else, and what can be done about it."""
@@ -61,10 +65,12 @@ class FitReport(QWidget):
         """``above`` is shown above the curves."""
         super().__init__()
         self.notes: dict[str, OffNote] = {}
-        self.energy = Curves(height=72, numbered=False)
+        self.energy = Curves(height=72, numbered=False, phases=PHASES)
         self.change = Curves(from_zero=True, height=58, numbered=False)
         self.sigma = Curves(from_zero=True, height=88)
         self.energy_text = label("", "caption", wrap=True)
+        self.phase_text = label(ANOTHER_SUM, "caption", wrap=True)
+        self.phase_text.setVisible(False)
         self.parts_title = ElidedLabel("Parts", "heading")
         self.part_list = column(spacing=0)
         energy = heading("Energy", "", label("nats per point", "caption"))
@@ -72,7 +78,19 @@ class FitReport(QWidget):
         sigma = heading("Spread σ by part", "", label("% of size", "caption"))
         body = scrolled(
             *([] if above is None else [above]),
-            section(energy, self.energy, self.energy_text, 6, change, self.change, 4, sigma, self.sigma, spacing=2),
+            section(
+                energy,
+                self.energy,
+                self.energy_text,
+                self.phase_text,
+                6,
+                change,
+                self.change,
+                4,
+                sigma,
+                self.sigma,
+                spacing=2,
+            ),
             section(row(self.parts_title), self.part_list, line=False),
         )
         self.setLayout(column(body, spacing=0))
@@ -102,6 +120,10 @@ class FitReport(QWidget):
             (numbers, [100 * float(rounds[n].sigma[part]) for n in numbers], inks[part]) for part in range(len(names))
         ]
         self.sigma.set_series(curves, of, at)
+        self.energy.setFixedHeight(72 if record.family_after is None else 86)
+        for plot in (self.energy, self.change, self.sigma):
+            plot.set_phase(record.family_after)
+        self.phase_text.setVisible(record.family_after is not None)
 
     def _show_parts(self, record: FitRecord, session: Session) -> None:
         clear(self.part_list)
@@ -179,7 +201,9 @@ def energy_text(record: FitRecord, number: int) -> str:
     if now is None:
         return "Of this round only the positions were recorded."
     parts = []
-    if before is not None and np.isfinite(before.energy):
+    if number - 1 == record.family_after:
+        parts.append(f"{now.energy:.3f} nats: the first round of the family.".replace("-", "−"))
+    elif before is not None and np.isfinite(before.energy):
         parts.append(f"This round {now.energy - before.energy:+.3f} nats.".replace("-", "−"))
     else:
         parts.append(f"{now.energy:.3f} nats.".replace("-", "−"))

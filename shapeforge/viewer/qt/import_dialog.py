@@ -20,7 +20,16 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from shapeforge.viewer.import_preview import FilePreview, previews, size_words, summary, upright_mesh
+from shapeforge.viewer.import_preview import (
+    FilePreview,
+    FolderUnit,
+    folder_unit,
+    other_unit_words,
+    previews,
+    size_words,
+    summary,
+    upright_mesh,
+)
 from shapeforge.viewer.palette import tokens
 from shapeforge.viewer.pictures import mesh_view, take_picture
 from shapeforge.viewer.qt import icons
@@ -78,6 +87,7 @@ class ImportDialog(QDialog):
         self.resize(960, 560)
         self.session, self.go, self.paths = session, go, paths
         self.seen: list[FilePreview] = []
+        self.folder = FolderUnit()
         known = session.project if session.project is not None and session.project.names else None
         record = (known.stage_record("import") or {}) if known is not None else {}
         self.up = record.get("options", {}).get("up", "auto")
@@ -135,6 +145,10 @@ class ImportDialog(QDialog):
             return
         for one in news.states:
             self._add(one)
+        folder = folder_unit(self.seen)
+        if news.outcome is not None or folder.unit != self.folder.unit:
+            self.folder = folder
+            self._fill_all()
         if news.outcome is not None:
             self.done_reading = True
             self.failed = sentence(news.error) if news.error is not None else ""
@@ -159,23 +173,37 @@ class ImportDialog(QDialog):
         else:
             name.setFlags(flags | Qt.ItemFlag.ItemIsUserCheckable)
             name.setCheckState(Qt.CheckState.Checked)
-            remark = QTableWidgetItem(self._remark(one))
-            remark.setToolTip("\n".join((one.up, *one.notes)))
-        sign = "error" if one.problem else "warning" if one.is_doubtful else "ok"
-        drawn = {"error": "error", "warning": "warning", "ok": "check"}[sign]
-        remark.setIcon(QIcon(icons.pixmap(drawn, tokens(theme)[sign], 16, 1.0)))
-        cells = (name, QTableWidgetItem("" if one.problem else grouped(one.n_faces)),
-                 QTableWidgetItem("" if one.problem else size_words(one)), remark)  # fmt: skip
+            remark = QTableWidgetItem()
+        cells = (name, QTableWidgetItem("" if one.problem else grouped(one.n_faces)), QTableWidgetItem(), remark)
         for number, cell in enumerate(cells):
             if number:
                 cell.setFlags(flags)
             self.table.setItem(line, number, cell)
+        self._fill(line)
         self.table.blockSignals(False)
         self._show_picture(line)
 
+    def _fill_all(self) -> None:
+        self.table.blockSignals(True)
+        for line in range(len(self.seen)):
+            self._fill(line)
+        self.table.blockSignals(False)
+
+    def _fill(self, line: int) -> None:
+        """Size and remarks of a file, as they are beside those of the others."""
+        one, remark = self.seen[line], self.table.item(line, 3)
+        other = "" if one.problem else other_unit_words(one, self.folder)
+        sign = "error" if one.problem else "warning" if one.is_doubtful or other else "ok"
+        drawn = {"error": "error", "warning": "warning", "ok": "check"}[sign]
+        remark.setIcon(QIcon(icons.pixmap(drawn, tokens(self.session.theme)[sign], 16, 1.0)))
+        if not one.problem:
+            remark.setText(self._remark(one))
+            remark.setToolTip("\n".join(words for words in (other, one.up, *one.notes) if words))
+            self.table.item(line, 2).setText(size_words(one, self.folder))
+
     def _remark(self, one: FilePreview) -> str:
         up = one.up if self.up == "auto" else "as in the file" if self.up == "keep" else f"{self.up} is up"
-        return " · ".join((up, *one.notes))
+        return " · ".join(words for words in (other_unit_words(one, self.folder), up, *one.notes) if words)
 
     def _picture_of(self, one: FilePreview):
         up, theme = self.up, self.session.theme
@@ -200,9 +228,7 @@ class ImportDialog(QDialog):
 
     def _choose_up(self, up: str) -> None:
         self.up = up
-        for line, one in enumerate(self.seen):
-            if not one.problem:
-                self.table.item(line, 3).setText(self._remark(one))
+        self._fill_all()
         self._show_pictures()
 
     def ticked(self) -> tuple[Path, ...]:

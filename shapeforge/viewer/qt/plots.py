@@ -16,18 +16,30 @@ HEIGHT = 110
 LEFT, RIGHT, TOP, BOTTOM = 44, 8, 8, 24
 """Pixels around the plot: numbers of the value axis, room for the last dot, numbers of the other axis."""
 
+PHASES = 14
+"""Pixels above a plot for the names of its phases."""
+
 Series = tuple[np.ndarray, np.ndarray, str]
 
 
 class Curves(QWidget):
-    """One or several curves over whole numbers, with a dotted line at the one looked at."""
+    """One or several curves over whole numbers, with a dotted line at the one looked at.
+
+    Where another phase begins (``set_phase``) there is a line from top to bottom, and no curve goes across it.
+    """
 
     def __init__(
-        self, x_name: str = "round", *, from_zero: bool = False, height: int = HEIGHT, numbered: bool = True
-    ) -> None:
-        """``from_zero`` keeps 0 in sight on the value axis; one that is not ``numbered`` stands above one that is."""
+        self, x_name: str = "round", *, from_zero: bool = False, height: int = HEIGHT, numbered: bool = True,
+        phases: tuple[str, str] | None = None,
+    ) -> None:  # fmt: skip
+        """``from_zero`` keeps 0 in sight on the value axis; one that is not ``numbered`` stands above one that is.
+
+        ``phases`` are what the curve is called before and after the line; they are written above it.
+        """
         super().__init__()
         self._from_zero, self._numbered = from_zero, numbered
+        self._phases = phases
+        self._divider: float | None = None
         self._series: list[Series] = []
         self._at: float | None = None
         self._last = 10
@@ -48,6 +60,11 @@ class Curves(QWidget):
         self._last, self._at = max(last, 1), at
         self.update()
 
+    def set_phase(self, after: int | None) -> None:
+        """Another phase begins with the round after the round ``after``; None where there is but one."""
+        self._divider = None if after is None else after + 0.5
+        self.update()
+
     @property
     def values(self) -> list[np.ndarray]:
         """The y of every curve shown, for tests."""
@@ -58,7 +75,8 @@ class Curves(QWidget):
         known = [y[np.isfinite(y)] for _, y, _ in self._series]
         flat = np.concatenate(known) if known else np.zeros(0)
         ticks = self._ticks(flat)
-        box = QRectF(LEFT, TOP, self.width() - LEFT - RIGHT, self.height() - TOP - (BOTTOM if self._numbered else TOP))
+        top = TOP + (PHASES if self._phases and self._divider is not None else 0)
+        box = QRectF(LEFT, top, self.width() - LEFT - RIGHT, self.height() - top - (BOTTOM if self._numbered else TOP))
 
         def place(x: float | int, y: float | int) -> QPointF:
             up = (y - ticks[0]) / (ticks[-1] - ticks[0])
@@ -79,6 +97,8 @@ class Curves(QWidget):
             painter.drawText(QRectF(place(number, 0).x() - 16, box.bottom() + 8, 32, 14), middle, str(number))
         if self._numbered:
             painter.drawText(QRectF(0, box.bottom() + 8, LEFT - 8, 14), right, self._x_name)
+        if self._divider is not None:
+            self._draw_divider(painter, box, round(place(self._divider, 0).x()) + 0.5)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         if self._at is not None and len(flat):
             painter.setPen(QPen(QColor(tokens["text_2"]), 1, Qt.PenStyle.DotLine))
@@ -90,12 +110,33 @@ class Curves(QWidget):
                 continue
             painter.setPen(QPen(QColor(colour), 1.6))
             painter.setBrush(Qt.BrushStyle.NoBrush)
-            painter.drawPolyline(QPolygonF([place(float(x[i]), float(y[i])) for i in there]))
+            for run in split_at(x, there, self._divider):
+                points = [place(float(x[i]), float(y[i])) for i in run]
+                if len(points) == 1:  # a line has two ends
+                    points.append(points[0] + QPointF(0.1, 0))
+                painter.drawPolyline(QPolygonF(points))
             marked = there[-1] if self._at is None else there[np.abs(x[there] - self._at).argmin()]
             painter.setPen(Qt.PenStyle.NoPen)
             painter.setBrush(QColor(colour))
             painter.drawEllipse(place(float(x[marked]), float(y[marked])), 3.2, 3.2)
         painter.end()
+
+    def _draw_divider(self, painter: QPainter, box: QRectF, x: float) -> None:
+        """The line where another phase begins, and what each phase is called, as far as there is room for it."""
+        tokens = palette.tokens(self._theme)
+        painter.setPen(QPen(QColor(tokens["separator_strong"]), 1))
+        painter.drawLine(QPointF(x, box.top() - (PHASES if self._phases else 0)), QPointF(x, box.bottom()))
+        if self._phases is None:
+            return
+        before, after = self._phases
+        y, wide = box.top() - PHASES - 2, painter.fontMetrics().horizontalAdvance
+        painter.setPen(QColor(tokens["text_2"]))
+        if wide(before) <= x - 6 - box.left():
+            left = QRectF(box.left(), y, x - 6 - box.left(), PHASES)
+            painter.drawText(left, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter, before)
+        start = min(x + 6, self.width() - wide(after))
+        right = QRectF(start, y, wide(after) + 1, PHASES)
+        painter.drawText(right, Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter, after)
 
     def _ticks(self, flat: np.ndarray) -> list[float]:
         low, high = (float(flat.min()), float(flat.max())) if len(flat) else (0.0, 1.0)
@@ -104,6 +145,13 @@ class Curves(QWidget):
         if high - low < 1e-9:
             high, low = high + 0.5, low - (0.0 if self._from_zero else 0.5)
         return nice_ticks(low, high)
+
+
+def split_at(x: np.ndarray, there: np.ndarray, divider: float | None) -> list[np.ndarray]:
+    """The places ``there`` among ``x``, in one piece or in those on either side of the ``divider``; none is empty."""
+    if divider is None:
+        return [there] if len(there) else []
+    return [part for part in (there[x[there] < divider], there[x[there] >= divider]) if len(part)]
 
 
 def nice_ticks(low: float, high: float, most: int = 4) -> list[float]:

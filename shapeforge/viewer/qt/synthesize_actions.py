@@ -30,7 +30,7 @@ def add_actions(place: Any) -> None:
         return can_export(place)
 
     add("mean_shape", "Mean", place.take_mean, "", "The middle of the family", "fit")
-    add("random_shape", "Random", place.take_random, "R", "A shape drawn from what was learned", "dice")
+    add("random_shape", "Random", place.draws.take, "R", "A shape drawn from what was learned", "dice")
     add("from_shape", "From shape…", place.choose_shape, "", "Start from a shape of the family, or from a recipe",
         "cube")  # fmt: skip
     add("between", "Between A and B", place.between.toggle, "B", "A shape on the way from one to another", "between")

@@ -22,6 +22,7 @@ from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.paint_parts import HistoryStrip
 from shapeforge.viewer.qt.synthesize_actions import add_actions
 from shapeforge.viewer.qt.synthesize_between import Between
+from shapeforge.viewer.qt.synthesize_draws import Draws
 from shapeforge.viewer.qt.synthesize_inspector import SynthesizeInspector
 from shapeforge.viewer.qt.synthesize_sections import not_learnt
 from shapeforge.viewer.qt.synthesize_shows import Shows
@@ -73,7 +74,7 @@ class SynthesizePlace:
     def _build(self, view_factory: Callable[[], QWidget]) -> None:
         self.view = view_factory()
         self.handles = Handles(self.session, self.view, self.sculptor, self._remember)
-        self.between, self.shows = Between(self), Shows(self)
+        self.between, self.shows, self.draws = Between(self), Shows(self), Draws(self)
         add_actions(self)
         self.nothing = not_learnt(self.actions, self.binding)
         whole = column(self.view, self.shows.gallery, self.nothing, self.between.bar, spacing=0)
@@ -216,13 +217,24 @@ class SynthesizePlace:
                 self._live = result
                 self._show()
         elif result is not None and result.wish == self._wish:  # an answer to an older wish is dropped
-            self.made, self._live = result, None
-            if self.sculptor.as_kept:
-                self._made_of[self.sculptor.recipe] = result
-            self._show_pictures()
-            self.session.edit_count += 1  # the mesh can be exported now
-            self._show()
-            self.view.fit_if_cut()
+            self._take_mesh(result)
+
+    def _take_mesh(self, result: Made) -> None:
+        made = self.draws.settled(result)
+        if made is None:
+            self._show_words()
+            return
+        self.made, self._live = replace(made, wish=self._wish), None
+        if self.sculptor.as_kept:
+            self.remember_mesh(self.sculptor.recipe, self.made)
+        self._show_pictures()
+        self.session.edit_count += 1  # the mesh can be exported now
+        self._show()
+        self.view.fit_if_cut()
+
+    def remember_mesh(self, recipe: Recipe, made: Made) -> None:
+        """The mesh of a shape of the history: it need not be made again."""
+        self._made_of[recipe] = made
 
     def _slid(self, index: int, value: float) -> None:
         self.sculptor.slide(index, value)
@@ -264,26 +276,25 @@ class SynthesizePlace:
         self.wanted()
         self.after_step()
 
-    def take_up(self, recipe: Recipe) -> None:
-        """Go on with another shape; locked sliders keep their place.  One with pins brings its own locks along."""
+    def take_up(self, recipe: Recipe, *, instead: bool = False) -> None:
+        """Go on with another shape, or ``instead`` of the one in hand; locked sliders keep their place, but one with
+        pins brings its own locks along."""
         self.between.end()
         kept = {} if recipe.pins else self.sculptor.kept(recipe.base)
-        self.sculptor.start(replace(recipe, sliders={**recipe.sliders, **kept}))
+        go = self.sculptor.exchange if instead else self.sculptor.start
+        go(replace(recipe, sliders={**recipe.sliders, **kept}))
         self.wanted()
         self.view.fit_again()
         self.after_step()
 
-    def _begin(self, recipe: Recipe) -> None:
-        """Go on with another shape, its mesh made as those before."""
-        self.take_up(replace(recipe, route=self.sculptor.recipe.route, union=self.sculptor.recipe.union))
+    def begin(self, recipe: Recipe, *, instead: bool = False) -> None:
+        """Take up another shape, its mesh made as those before."""
+        now = self.sculptor.recipe
+        self.take_up(replace(recipe, route=now.route, union=now.union), instead=instead)
 
     def take_mean(self) -> None:
         """The middle of the family."""
-        self._begin(Recipe("mean", self.sculptor.mean_base(), origin="mean"))
-
-    def take_random(self) -> None:
-        """A draw, with what it has to keep to."""
-        self._begin(self.sculptor.drawn())
+        self.begin(Recipe("mean", self.sculptor.mean_base(), origin="mean"))
 
     def choose_shape(self) -> None:
         """A menu of the family's shapes, and of recipes."""
@@ -296,7 +307,7 @@ class SynthesizePlace:
         menu.popup(self.from_button.mapToGlobal(self.from_button.rect().bottomLeft()))
 
     def _from_shape(self, name: str) -> None:
-        self._begin(Recipe(name, self.sculptor.base_of(name), origin=name))
+        self.begin(Recipe(name, self.sculptor.base_of(name), origin=name))
 
     def reset(self) -> None:
         """All sliders that are not locked to where the shape stands by itself, and all pins away."""
@@ -348,7 +359,7 @@ class SynthesizePlace:
         marks = self.handles.marks()
         shown = display(
             self._drawn, made, self._label(), busy, marks, self.is_dragging, failed=bool(self.problem),
-            n_pins=len(self.sculptor.pinned()),
+            n_pins=len(self.sculptor.pinned()), turn=self.draws.turn,
         )  # fmt: skip
         self.view.display(shown, fit=fit)
 

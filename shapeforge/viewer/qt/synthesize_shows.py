@@ -17,7 +17,9 @@ from shapeforge.viewer.qt.controls import Clickable
 from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.view3d import View3D
 from shapeforge.viewer.qt.widgets import ElidedLabel, Picture, button, column, framed, label, row, scrolled
+from shapeforge.viewer.redrawing import Redrawing, is_whole
 from shapeforge.viewer.sculptor import Recipe
+from shapeforge.viewer.sculpture import apart_words
 
 SPIN_MS, SPIN_DEGREES = 40, 2.0
 CARDS, COLUMNS = 12, (2, 3, 4, 6)
@@ -148,6 +150,8 @@ class Shows:
         self.gallery.again.connect(lambda: self.show_gallery(True))
         self.heated: int | None = None
         """The slider whose movement is shown as heat."""
+        self._trials: list[Redrawing] = []
+        self._looked_at: dict[int, Made] = {}
 
     # ---- turning -------------------------------------------------------------------------------------------------
 
@@ -198,15 +202,44 @@ class Shows:
             return
         recipes, names, wanted = [], [], []
         sculptor = place.sculptor
+        self._trials, self._looked_at = [], {}
         for number in range(CARDS):
-            drawn = replace(sculptor.drawn(), route=sculptor.recipe.route, union=sculptor.recipe.union)
+            drawn = self._drawn()
+            self._trials.append(Redrawing(sculptor.draws, drawn))
             recipes.append(drawn)
             names.append(drawn.origin)
-            wanted.append(Wish(number, sculptor.points(drawn), sculptor.exists(drawn), True, route=drawn.route))
+            wanted.append(self._wish(number, drawn, preview=True))
         self.gallery.show_recipes(recipes, names, place.session.theme)
         place.worker.ask_besides(wanted)
         self.show_pictures()
         self.gallery.setFocus()
+
+    def _drawn(self, number: int | None = None, turn: int = 0) -> Recipe:
+        """The next draw, or another in place of one, its mesh made as that of the shape in hand."""
+        sculptor = self.place.sculptor
+        drawn, now = sculptor.drawn(number, turn), sculptor.recipe
+        return replace(drawn, route=now.route, union=now.union)
+
+    def _wish(self, card: int, drawn: Recipe, *, preview: bool) -> Wish:
+        sculptor = self.place.sculptor
+        return Wish(card, sculptor.points(drawn), sculptor.exists(drawn), preview, route=drawn.route)
+
+    def _look_at(self, card: int, made: Made) -> None:
+        """A mesh came for a card: show it, or try another draw in its place.
+
+        Previews do not hold parts together: one with a gap is made again as it would be taken before it is judged.
+        """
+        trial, gallery, again = self._trials[card], self.gallery, self.place.worker.ask_besides_too
+        if made.preview and not is_whole(made):
+            again(self._wish(card, trial.recipe, preview=False))
+        elif trial.take(made):
+            trial.tried.append(self._drawn(trial.number, trial.turn))
+            gallery.recipes[card] = trial.recipe
+            again(self._wish(card, trial.recipe, preview=False))
+        else:
+            gallery.recipes[card], gallery.made[card] = trial.result()
+            if apart_words(gallery.made[card].shape.measures):
+                gallery.cards[card].name.setText(f"draw {trial.number}, parts stay apart")
 
     def leave_gallery(self) -> None:
         """Back to the shape, if the gallery hides it: it has just been changed."""
@@ -216,7 +249,10 @@ class Shows:
     def show_pictures(self) -> None:
         """The gallery's cards with what there is by now."""
         if self.gallery.isVisible():
-            self.gallery.made.update(self.place.worker.made_besides())
+            for card, made in self.place.worker.made_besides().items():
+                if self._looked_at.get(card) is not made:
+                    self._looked_at[card] = made
+                    self._look_at(card, made)
             self.gallery.show_pictures(self._picture)
 
     def _picture(self, i: int) -> QPixmap | None:
