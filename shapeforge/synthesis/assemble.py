@@ -17,6 +17,7 @@ from shapeforge.synthesis.contacts import (
     contact_depths,
     contact_gaps,
     hold_contacts,
+    island_gaps,
     join_islands,
 )
 from shapeforge.synthesis.measures import symmetry_error
@@ -140,6 +141,8 @@ def put_together(
     if any(part.folds for part in best.values()):  # to ease these may move a contact
         best = {l: unfolded(part) for l, part in best.items()}
         told = contact_gaps(best, contacts), {} if preview else contact_depths(best, contacts)
+    if not preview:
+        told = {**told[0], **island_gaps(best, contacts, sources.touching)}, told[1]
     misses = sum(float(_misses(part).mean()) for part in best.values())
     return PutTogether(best, *told, misses + SEEN * _faults(best, *told))
 

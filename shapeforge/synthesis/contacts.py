@@ -64,16 +64,12 @@ def join_islands(
     """
     bent, contacts, parts = dict(bent), list(contacts), list(bent)
     for _ in range(len(parts)):
-        place = {l: i for i, l in enumerate(parts)}
-        ends = np.array([(place[a], place[b]) for a, b in contacts]).reshape(-1, 2)
-        graph = coo_matrix((np.ones(len(ends)), ends.T), shape=(len(parts), len(parts)))
-        n_islands, island = connected_components(graph, directed=False)
-        weight = np.bincount(island, [len(bent[l].source.handles) for l in parts]) if parts else np.zeros(0)
+        island, largest = _islands(bent, contacts)
         joined = False
-        for i, l in enumerate(parts):
-            if n_islands < 2 or island[i] == weight.argmax():
+        for l in parts:
+            if island[l] == largest:
                 continue
-            outside = [o for o in parts if island[place[o]] != island[i] and touching[l, o] >= 0.25]
+            outside = [o for o in parts if island[o] != island[l] and touching[l, o] >= 0.25]
             for other in sorted(outside, key=lambda o: -touching[l, o]):
                 vertices = bent[l].vertices
                 distance = closest_points(bent[other].surface, vertices)[2]
@@ -95,6 +91,44 @@ def join_islands(
         if not joined:
             break
     return bent, contacts
+
+
+def _islands(bent: Mapping[int, BentPart], contacts: list[tuple[int, int]]) -> tuple[dict[int, int], int]:
+    """The group of parts, joined by contacts, that each part belongs to; and the one with most handles."""
+    place = {l: i for i, l in enumerate(bent)}
+    ends = np.array([(place[a], place[b]) for a, b in contacts], int).reshape(-1, 2)
+    graph = coo_matrix((np.ones(len(ends)), ends.T), shape=(len(bent), len(bent)))
+    island = connected_components(graph, directed=False)[1]
+    weight = np.bincount(island, [len(part.source.handles) for part in bent.values()]) if bent else np.zeros(1)
+    return {l: int(island[i]) for l, i in place.items()}, int(weight.argmax())
+
+
+def island_gaps(
+    bent: Mapping[int, BentPart], contacts: list[tuple[int, int]], touching: Float[np.ndarray, "L L"]
+) -> dict[tuple[int, int], tuple[float, float]]:
+    """Gaps as of :func:`contact_gaps` between groups of parts that no contact joins: to the nearest other part.
+
+    A seat that comes from a swivel chair holds on to no leg, and legs drawn far off are not joined to it: neither is a
+    contact that could be told to gape.  What touches nothing on its own shape, nor on most others, may stand alone.
+    """
+    island, largest = _islands(bent, contacts)
+    found: dict[tuple[int, int], tuple[float, float]] = {}
+    for one in set(island.values()) - {largest}:
+        nearest = []
+        for l in (l for l in bent if island[l] == one):
+            others = [o for o in bent if island[o] != one]
+            held = [anchors.distance.min() for anchors in bent[l].source.anchors.values()]
+            if held or max(touching[l, o] for o in others) >= 0.5:
+                away = {o: float(closest_points(bent[o].surface, bent[l].vertices)[2].min()) for o in others}
+                away = {o: min(d, float(closest_points(bent[l].surface, bent[o].vertices)[2].min()))
+                        for o, d in away.items()}  # fmt: skip
+                other = min(away, key=away.__getitem__)
+                new = max(0.0, away[other] - float(min(held, default=0.0)))
+                nearest.append((away[other], new, (min(l, other), max(l, other))))
+        if nearest:
+            wide, new, pair = min(nearest)
+            found[pair] = wide, new
+    return found
 
 
 def hold_contacts(

@@ -15,6 +15,8 @@ SYMMETRIC = 0.02
 """A part is symmetric if on the median shape its points lie so near (diagonals) to their partners' mirror images."""
 ALIKE = 0.9
 """Cosine of the normals of two planes that speak for one direction."""
+ON_PLANE = 0.02
+"""A point so near (diagonals) to the plane is on it."""
 USUALLY, FEWEST_SHAPES = 0.75, 3
 """A point is always on one side if it is OFF the plane there on at least this share, and number, of the shapes."""
 BOX, OFF = 0.06, 0.05
@@ -65,6 +67,24 @@ class FamilyMirror:
             np.bincount(part, paired, n_parts), 1
         )
         return points + np.where((length <= SYMMETRIC)[part][:, None], way, 0.0)
+
+    def with_twins(
+        self, held: Float[np.ndarray, "K 3"], points: Float[np.ndarray, "K 3"], part: Int[np.ndarray, " K"]
+    ) -> Float[np.ndarray, "K 3"]:
+        """Where points are held (K, 3; NaN where free), and their partners in the mirror image of that.
+
+        Of a shape whose ``points`` are these.  What is pulled on one side only, the symmetry would halve.  A point on
+        the plane has no partner: it is held where its mirror image is, too.  Where both of a pair are held, both stay
+        as they are, and so do points of parts that the family does not have symmetric.
+        """
+        found, place = np.array(held, float), self.place(points, part)
+        for k in np.flatnonzero(np.isfinite(held).all(axis=1) & self.symmetric[part]):
+            twin = self.partner[k]
+            if twin == k or abs(points[k] @ self.normal - place) < ON_PLANE:
+                found[k] -= (found[k] @ self.normal - place) * self.normal
+            elif np.isfinite(points[twin]).all() and not np.isfinite(held[twin]).all():
+                found[twin] = mirrored((held[k] - self.shift[k])[None], self.normal, place)[0]
+        return found
 
     def on_both_sides(self, points: Float[np.ndarray, "K 3"], part: Int[np.ndarray, " K"]) -> np.ndarray:
         """The draw (K, 3), where a part that the family has on both sides is not left on one of them.
@@ -182,13 +202,12 @@ def _nearest_images(
         own, other = np.flatnonzero(part == l), np.flatnonzero(np.isin(part, allowed))
         if not len(own):
             continue
-        total, seen = np.zeros((2, len(own), len(other)))
-        for p, q, t in zip(points, images, there, strict=True):
-            a, b = np.where(t[own, None], p[own], 0.0), np.where(t[other, None], q[other], 0.0)
-            square = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1)[None] - 2 * a @ b.T
-            both = t[own][:, None] & t[other][None]
-            total += np.where(both, square, 0.0)
-            seen += both
+        # The sums over the shapes of |p - q|², where both are there, are products of matrices.
+        here, yonder = there[:, own].astype(float), there[:, other].astype(float)
+        p, q = (np.where(there[:, at, None], x[:, at], 0.0) for at, x in ((own, points), (other, images)))
+        total = (p**2).sum(axis=2).T @ yonder + here.T @ (q**2).sum(axis=2)
+        total -= 2 * np.tensordot(p, q, axes=([0, 2], [0, 2]))
+        seen = here.T @ yonder
         often = seen >= 0.5 * np.maximum(seen.max(axis=1, keepdims=True), 1)  # few shapes say little
         found[own] = other[np.where(often, total / np.maximum(seen, 1), np.inf).argmin(axis=1)]
     return found

@@ -49,6 +49,9 @@ FAIRINGS = 4
 SNAPS = 4
 """Times that vertices on a seam of two parts are moved onto one and the other in turn, the others twice onto their own:
 the lenders' mean surfaces know of no lattice."""
+HALVINGS, HOLDS = 5, 60
+"""So many times vertices of triangles which that turned over are halved in their way; then they stay where they were,
+in so many rounds at most."""
 SEAM = 0.5
 """A vertex is on the seam if it is as near to both parts, but for this share of the lattice's step."""
 SMALLEST = 2e-4
@@ -91,13 +94,15 @@ def synthesize_surface(
     steps, triangles = isosurface(_without_crumbs(np.maximum.reduce([mean.field for mean in means.values()])), 0.0)
     steps = _fair(steps, triangles)
     part = _innermost(means, steps[triangles].mean(axis=1))[0]
-    vertices = _snapped(lattice.origin + lattice.cell * steps, *_innermost(means, steps), means, lattice.cell)
+    plain = lattice.origin + lattice.cell * steps
+    vertices = held_back(plain, _snapped(plain, *_innermost(means, steps), means, lattice.cell), triangles)
     known = np.isfinite(points).all(axis=1)
     plane = sources.mirror.normal, sources.mirror.place(points, sources.part)
     measures = {
         "symmetry_error": symmetry_error(vertices, plane),
         "distance_from_draw": float(closest_points(as_mesh(vertices, triangles), points[known])[2].mean()),
         "open_edges": open_edges(triangles),
+        "folded_triangles": int(_turned_over(plain, vertices, triangles).sum()),
         "n_triangles": len(triangles),
         "lenders": {sources.part_names[l]: list(mean.names) for l, mean in means.items()},
     }
@@ -204,6 +209,33 @@ def _snapped(
     way = moved - vertices
     length = np.linalg.norm(way, axis=1, keepdims=True)
     return vertices + way * np.minimum(1, most / np.maximum(length, 1e-12))
+
+
+def held_back(
+    plain: Float[np.ndarray, "V 3"], moved: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"]
+) -> Float[np.ndarray, "V 3"]:
+    """The ``moved`` vertices; those of triangles that would turn over go a part of their way from ``plain`` only.
+
+    Along the edge of a wing many vertices have their nearest point on one line, and in another order than theirs.
+    """
+    share = np.ones((len(plain), 1))
+    for turn in range(HALVINGS + HOLDS):
+        vertices = plain + share * (moved - plain)
+        turned = triangles[_turned_over(plain, vertices, triangles)]
+        if not len(turned):
+            break
+        share[np.unique(turned)] *= 0.5 if turn < HALVINGS else 0.0
+    return vertices
+
+
+def _turned_over(
+    plain: Float[np.ndarray, "V 3"], vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "N 3"]
+) -> Bool[np.ndarray, " N"]:
+    """Triangles that face the other way than on the ``plain`` surface, which has no folds."""
+    facing, before = (
+        np.cross(at[:, 1] - at[:, 0], at[:, 2] - at[:, 0]) for at in (vertices[triangles], plain[triangles])
+    )
+    return (facing * before).sum(axis=1) < 0
 
 
 def _solid(part: BentPart) -> SearchedMesh:

@@ -20,6 +20,7 @@ from shapeforge.generative.scales import Scales
 from shapeforge.generative.units import Direction, bundles, drive, drive_latents, single_units
 from shapeforge.synthesis.assemble import SynthesizedShape
 from shapeforge.synthesis.complete import completed_parts
+from shapeforge.synthesis.mirror import FamilyMirror, find_mirror
 from shapeforge.synthesis.sources import touching_shares
 from shapeforge.viewer.display import MeshLayer, PointLayer
 from shapeforge.viewer.palette import label_colours
@@ -77,6 +78,7 @@ class Sculptor:
         self.scales = Scales(self.machine, self.latents, self.directions)
         self._home: tuple[Any, np.ndarray] = (None, np.zeros(0))
         self._followed: tuple[Any, Any, Any] = (None, None, None)
+        self._mirror: FamilyMirror | None = None
         units = np.array([self.unit(index) for index in range(len(self.directions))])
         self.rows = self.scales.rows(self.machine.sizes) / units[:, None]
         self.part, self.part_names = self.observations.part, tuple(self.observations.part_names)
@@ -87,6 +89,13 @@ class Sculptor:
         self.recipes, self.done = [], -1
         self.start(Recipe("mean", self.mean_base(), origin="mean"))
         return True
+
+    @property
+    def mirror(self) -> FamilyMirror:
+        """The family's mirror plane; found when a point is first pulled at."""
+        if self._mirror is None:
+            self._mirror = find_mirror(self.positions, self.observations.exists, self.part)
+        return self._mirror
 
     @property
     def has_machine(self) -> bool:
@@ -299,7 +308,9 @@ class Sculptor:
             rows = self.rows[sorted(source.locked)] if source.locked else None
             # The same numbers each time: what follows a hand must not tremble.
             rng = np.random.default_rng(FOLLOWING)
-            followed = follow(self.machine, self.mixture, found, self.known(pins), rng=rng, kept=rows)
+            at = np.asarray(self.machine.to_positions(decode(self.machine, found), exists[None])[0], np.float64)
+            held = self.mirror.with_twins(self.known(pins), at, self.part)
+            followed = follow(self.machine, self.mixture, found, held, rng=rng, kept=rows)
             self._followed = (base, key, followed)
         return self._followed[2]
 

@@ -12,7 +12,14 @@ from shapeforge.collection.surface import closest_points
 from shapeforge.synthesis import assemble, bending, contacts
 from shapeforge.synthesis.assemble import synthesize
 from shapeforge.synthesis.bending import bend, start_part, unfolded
-from shapeforge.synthesis.contacts import carry_along, choose_contacts, contact_depths, hold_contacts, join_islands
+from shapeforge.synthesis.contacts import (
+    carry_along,
+    choose_contacts,
+    contact_depths,
+    hold_contacts,
+    island_gaps,
+    join_islands,
+)
 from shapeforge.synthesis.depths import depths, pushed_back
 from shapeforge.synthesis.measures import inverted_triangles
 from shapeforge.synthesis.sources import Sources, make_sources
@@ -111,6 +118,26 @@ def test_a_part_that_touched_nothing_on_its_shape_is_joined(tables, sources) -> 
     moved = hold_contacts({0: away, 1: joined[1]}, contacts)
     assert sum(len(h) for h in moved.values()) >= 4
     assert join_islands(bent, [], np.zeros((2, 2)))[1] == []  # parts that never touch are left alone
+
+
+def test_what_no_contact_holds_is_told_to_stay_apart_and_legs_from_elsewhere_are_taken(tables, sources) -> None:
+    """A seat of a swivel chair holds on to no leg, and legs that are drawn far off hold on to no seat."""
+    off = tables[0].points.copy()
+    off[sources.part == 1] -= [0, 0.3, 0]
+    bent = {l: start_part(sources.part_of(0, l), off) for l in (0, 1)}
+    wide, new = island_gaps(bent, [], sources.touching)[0, 1]
+    assert 0.25 < new <= wide < 0.35
+    assert island_gaps(bent, [(0, 1)], sources.touching) == {}
+    alone = {l: replace(part, source=replace(part.source, anchors={}), anchors={}) for l, part in bent.items()}
+    assert island_gaps(alone, [], np.zeros((2, 2))) == {}, "what touches nothing anywhere may stand alone"
+    assert island_gaps(alone, [], sources.touching)[0, 1][1] == pytest.approx(wide)
+
+    held = sources.parts_of(0)
+    sources._cache[0] = {0: replace(held[0], anchors={}), 1: held[1]}
+    apart = assemble.put_together(off, BOTH, sources, np.array([0, 0]), False)
+    assert apart.gaps[0, 1][1] > 0.25
+    made = synthesize(off, BOTH, sources)
+    assert made.measures["largest_gap"] < 0.01 and tables[0].shape.name != made.sources[0]
 
 
 def test_what_would_fold_is_bent_stiffer(tables, sources, monkeypatch) -> None:

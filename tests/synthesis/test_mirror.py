@@ -84,3 +84,39 @@ def test_meshes_of_lopsided_draws_are_symmetric_unless_asked_not_to_be(tables, s
     made = [synthesize(drawn, BOTH, sources, symmetric=symmetric) for symmetric in (True, False)]
     errors = [shape.measures["symmetry_error"] for shape in made]
     assert errors[0] < 0.5 * errors[1]
+
+
+def test_where_one_leg_is_pulled_the_other_goes_as_far_and_the_symmetry_halves_nothing(
+    tables, table_part, sources
+) -> None:
+    mirror, points = sources.mirror, tables[1].points
+    pull = 0.05 * mirror.normal + np.array([0.0, 0.01, 0.0])
+    for k in (400, 700, 1500):
+        held = np.full(points.shape, np.nan)
+        held[k] = points[k] + pull
+        twin = mirror.partner[k]
+        found = mirror.with_twins(held, points, table_part)
+        assert set(np.flatnonzero(np.isfinite(found[:, 0]))) == {k, twin} and twin != k
+        assert np.array_equal(found[k], held[k])
+        moved = np.where(np.isfinite(found), found, points)
+        made = mirror.made_symmetric(moved, table_part)
+        assert np.abs(made[[k, twin]] - moved[[k, twin]]).max() < 2e-3
+        alone = mirror.made_symmetric(np.where(np.isfinite(held), held, points), table_part)
+        assert np.linalg.norm(alone[k] - held[k]) > 0.02, "without its twin half the way is lost"
+
+
+def test_a_point_on_the_plane_is_held_on_it_and_a_held_pair_stays_as_it_is(tables, table_part, sources) -> None:
+    mirror, points = sources.mirror, tables[1].points
+    place = mirror.place(points, table_part)
+    middle = int(np.abs(points[:384] @ mirror.normal - place).argmin())
+    points = points.copy()
+    points[middle] -= (points[middle] @ mirror.normal - place) * mirror.normal
+    held = np.full(points.shape, np.nan)
+    held[middle] = points[middle] + 0.1 * mirror.normal + [0.0, 0.04, 0.0]
+    found = mirror.with_twins(held, points, table_part)
+    assert np.abs(found[middle] - points[middle] - [0.0, 0.04, 0.0]).max() < 1e-9
+    assert np.isfinite(found[:, 0]).sum() == 1
+    pair = [500, mirror.partner[500]]
+    held = np.full(points.shape, np.nan)
+    held[pair] = points[pair] + [[0.02, 0, 0], [0, 0, 0.03]]
+    assert np.array_equal(mirror.with_twins(held, points, table_part), held, equal_nan=True)

@@ -11,7 +11,7 @@ from shapeforge.collection.surface import closest_points
 from shapeforge.synthesis.distance_field import signed_distance, winding_number
 from shapeforge.synthesis.isosurface import isosurface
 from shapeforge.synthesis.sources import Sources, make_sources
-from shapeforge.synthesis.surface import synthesize_surface
+from shapeforge.synthesis.surface import held_back, synthesize_surface
 from shapeforge.synthesis.surfaces import as_mesh, vertex_components
 from tests.synthesis.conftest import PART_NAMES, Table, make_table
 
@@ -69,6 +69,7 @@ def test_a_table_from_scratch_is_closed_and_like_the_draw(tables, sources, cell)
     halfway = (tables[0].points + tables[1].points) / 2
     made = synthesize_surface(halfway, BOTH, sources, cell=cell)
     assert made.measures["open_edges"] == 0 and made.sources == ("", "")
+    assert made.measures["folded_triangles"] == 0
     assert made.measures["n_triangles"] == len(made.triangles) == len(made.part)
     mesh = as_mesh(made.vertices, made.triangles)
     assert closest_points(mesh, halfway)[2].mean() < 0.5 * cell
@@ -150,6 +151,27 @@ def test_a_slanted_plate_hardly_thicker_than_a_step_has_no_terraces(tables, tabl
     flat = facing > 0.8  # the two sides of the plate, not its rim
     assert area[flat].sum() > 0.7 * area.sum()
     assert np.average(facing[flat], weights=area[flat]) > 0.995
+
+
+def test_no_triangle_turns_over_where_many_vertices_are_drawn_to_one_edge() -> None:
+    steps = np.stack(np.meshgrid(*[np.linspace(-1, 1, 25)] * 3, indexing="ij"), axis=-1)
+    plain, triangles = isosurface(0.6 - np.linalg.norm(steps, axis=-1), 0.0)
+    plain = plain / 12 - 1
+    shaken = plain + np.random.default_rng(0).normal(0, 0.04, plain.shape)  # half a step: a third of them turn over
+    shaken[np.abs(plain[:, 1]) < 0.1, 1] = 0.0  # and a knife's edge
+    before = normals(plain, triangles)
+    assert ((normals(shaken, triangles) * before).sum(axis=1) < 0).mean() > 0.05
+    held = held_back(plain, shaken, triangles)
+    assert ((normals(held, triangles) * before).sum(axis=1) >= 0).all()
+    went = np.linalg.norm(held - plain, axis=1).sum() / np.linalg.norm(shaken - plain, axis=1).sum()
+    assert 0.3 < went < 1
+    calm = plain * [1.0, 0.8, 1.1]
+    assert np.abs(held_back(plain, calm, triangles) - calm).max() < 1e-12
+
+
+def normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    return np.cross(b - a, c - a)
 
 
 def test_legs_of_all_lenders_reach_the_top_though_the_draw_has_them_too_short(tables, sources, cell) -> None:

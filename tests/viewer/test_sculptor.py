@@ -211,3 +211,20 @@ def test_a_draw_has_locked_sliders_where_they_are_with_pins_and_without(pinned):
         pinned.start(pinned.drawn())
         assert pinned.session.locked == {1} and pinned.session.pins == pins
         assert pinned.values()[1] == pytest.approx(value, abs=within) and abs(pinned.home()[1] - before) > 2 * within
+
+
+def test_a_pulled_point_and_its_twin_go_as_far_as_each_other_and_the_mesh_with_them(sculptor):
+    """Points that move on one side only would be halved by the symmetry of the mesh."""
+    before, mirror, part = sculptor.points(), sculptor.mirror, sculptor.part
+    assert mirror.symmetric[part].any()
+    there = np.isfinite(before).all(axis=1) & mirror.symmetric[part]
+    off = np.where(there, np.abs(before @ mirror.normal - mirror.place(before, part)), 0.0)
+    k = int(off.argmax())
+    twin = int(mirror.partner[k])
+    inwards = -0.04 * np.sign(before[k] @ mirror.normal - mirror.place(before, part)) * mirror.normal
+    sculptor.session.pins = {k: as_place(before[k] + inwards)}
+    points = sculptor.points()
+    made = mirror.made_symmetric(points, part)
+    went = [float((at[k] - before[k]) @ inwards) / 0.04**2 for at in (points, made)]
+    assert went[0] > 0.5 and went[1] > 0.9 * went[0]
+    assert float((points[twin] - before[twin]) @ -inwards) / 0.04**2 > 0.7 * went[0]
