@@ -153,6 +153,18 @@ def test_sorting_and_counting(lightbox):
     assert list(lightbox.names) == sorted(lightbox.names)
 
 
+def test_turning_pages_shows_every_shape_once_whatever_is_picked(lightbox, qtbot):
+    lightbox._count_chosen("4")
+    first, order = lightbox.names, lightbox.order
+    click(qtbot, lightbox, spot(lightbox, 0, seen_points(lightbox, 0)[0]))
+    assert lightbox.session.picked is not None and lightbox.names == first, "a pick moves no shape"
+    qtbot.mouseClick(lightbox.after, LEFT)
+    assert lightbox.order == order and not set(first) & set(lightbox.names)
+    lightbox.actions.run("show_worst")
+    sure = [lightbox.box.confidence(name, lightbox.session.picked) for name in lightbox.order]
+    assert sure == sorted(sure), "chosen anew, the order is that of the point"
+
+
 def test_two_shapes_are_overlaid_and_it_says_why_not(lightbox, qtbot):
     table = lightbox.actions
     assert table.verdict("overlay") == (False, "Select exactly two shapes first (Ctrl-click).")

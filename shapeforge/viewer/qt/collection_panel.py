@@ -146,7 +146,7 @@ class CollectionPlace:
         self.choose_button = button("Choose another exemplar…", icon="swap")
         self.choose_button.clicked.connect(self._press_choose)
         self.exemplar_section = section(
-            row(self.exemplar_title, self.typical), framed(row(self.preview), "preview"), self.choose_button
+            row(self.exemplar_title, None, self.typical), framed(row(self.preview), "preview"), self.choose_button
         )
         self.selection = SelectionSection(self.session, self.actions, self.binding)
         self.problems = ProblemList(self.session)
