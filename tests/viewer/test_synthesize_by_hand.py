@@ -410,10 +410,10 @@ def test_a_lock_is_clicked_and_its_slider_stays(place, qtbot):
 def test_a_draw_of_the_gallery_is_taken_with_the_mouse(place, qtbot):
     qtbot.keyClick(place.centre, Qt.Key.Key_G)
     gallery = place.shows.gallery
-    assert gallery.isVisible() and len(gallery.cards) == 12
+    assert gallery.isVisible() and len(gallery.cards) == 12 and place.gallery_button.isChecked()
     wanted = gallery.recipes[5]
     qtbot.mouseClick(gallery.cards[5], LEFT, NONE, QPoint(40, 40))
-    assert not gallery.isVisible() and place.view.isVisible()
+    assert not gallery.isVisible() and place.view.isVisible() and not place.gallery_button.isChecked()
     np.testing.assert_array_equal(place.sculptor.recipe.base.first, wanted.base.first)
     np.testing.assert_allclose(place.points, place.sculptor.points(wanted))
     qtbot.keyClick(place.centre, Qt.Key.Key_Z, CONTROL)

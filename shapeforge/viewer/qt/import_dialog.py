@@ -202,7 +202,8 @@ class ImportDialog(QDialog):
             said = odd if any(words.startswith(up) for words in odd) else (*odd, up)
             remark.setText(" · ".join(said))
             remark.setToolTip("\n".join(said))
-            remark.setForeground(QColor(look["warning" if odd else "text"]))
+            unlike = any(words not in one.notes for words in odd)
+            remark.setForeground(QColor(look["warning" if unlike else "text"]))
             self.table.item(line, 2).setText(size_words(one, self.among))
 
     def _put_doubtful_first(self) -> None:
