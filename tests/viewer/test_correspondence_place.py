@@ -23,14 +23,6 @@ LEFT, NONE = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
 CONTROL = Qt.KeyboardModifier.ControlModifier
 
 
-@pytest.fixture
-def lightbox(open_window, fitted, qtbot):
-    window = open_window(fitted, "correspondence")
-    place = window.places["correspondence"]
-    qtbot.waitUntil(lambda: place.view.frames > 0, timeout=20000)
-    return place
-
-
 def spot(place, cell: int, point: int) -> QPoint | None:
     """Where template point ``point`` is seen in a cell: None when something is in front of it."""
     shape = place.box.shape(place.names[cell])

@@ -77,6 +77,18 @@ def test_the_nearest_point_is_drawn_last():
         assert (middle.red(), middle.green()) == (255, 0)
 
 
+def test_what_is_switched_off_makes_no_small_picture_smaller():
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    far = np.array([[0.5, 9.0, 0]])
+    inks = np.tile(np.array(rgb(PARTS[0]), np.uint8), (4, 1))
+    alone = draw_points(square, inks, (40, 40), (0.0, 0.0, 1.0))
+    grey = np.array([rgb(SWITCHED_OFF)], np.uint8)
+    with_far = draw_points(np.concatenate([square, far]), np.concatenate([inks, grey]), (40, 40), (0.0, 0.0, 1.0))
+    assert with_far == alone
+    seen = draw_points(np.concatenate([square, far]), np.concatenate([inks, inks[:1]]), (40, 40), (0.0, 0.0, 1.0))
+    assert seen != alone, "a point of a part that is on is always seen"
+
+
 @pytest.mark.parametrize(("low", "high"), [(2.2, 3.9), (0.0, 1e-6), (-12.4, -11.9), (0.0, 97.0), (1.0, 1.0001)])
 def test_ticks_enclose_the_values_and_are_few(low, high):
     ticks = nice_ticks(low, high)

@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QBoxLayout, QFrame, QWidget
 
 from shapeforge.viewer.fit_display import FULL_HEAT, TemplateLook, all_points, to_plane
 from shapeforge.viewer.fit_record import FitRecord, look_at, moved_text
-from shapeforge.viewer.palette import SWITCHED_OFF, as_hex, tokens
+from shapeforge.viewer.palette import SWITCHED_OFF, as_hex, rgb, tokens
 from shapeforge.viewer.qt.controls import Choice
 from shapeforge.viewer.qt.theme import PADDING, colours, font
 from shapeforge.viewer.qt.widgets import Swatch, clear, column, label, row
@@ -25,18 +25,24 @@ def draw_points(
     direction: tuple[float, ...],
     dot: int = 2,
 ) -> QImage:
-    """A picture (device pixels) of points (n, 3) with colours (n, 3), far ones first; NaN rows are left out."""
+    """A picture (device pixels) of points (n, 3) with colours (n, 3), far ones first; NaN rows are left out.
+
+    What is switched off has no say in how large the rest is, and is left out where there is no room for it.
+    """
     width, height = size
     picture = np.zeros((height, width, 4), np.uint8)
     there = np.isfinite(positions).all(axis=1)
     flat = to_plane(positions[there], direction)
     inks = colours_of_points[there]
     if len(flat):
-        low, high = flat[:, :2].min(axis=0), flat[:, :2].max(axis=0)
+        on = (inks != rgb(SWITCHED_OFF)).any(axis=1)
+        seen = flat[on if on.any() else ~on, :2]
+        low, high = seen.min(axis=0), seen.max(axis=0)
         room = np.array([width - dot - 4, height - dot - 4])
         scale = float((room / np.maximum(high - low, 1e-6)).min())
         at = (flat[:, :2] - (low + high) / 2) * scale + np.array([width, height]) / 2 - dot / 2
         order = np.argsort(flat[:, 2])
+        order = order[((at >= 0) & (at <= np.array([width, height]) - dot)).all(axis=1)[order]]
         at, inks = np.round(at[order]).astype(int), inks[order]
         for dy in range(dot):
             for dx in range(dot):

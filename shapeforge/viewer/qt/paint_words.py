@@ -44,6 +44,8 @@ def has_paint(painter: Painter) -> bool:
 
 def can_fit(session: Session, painter: Painter) -> Verdict:
     """Whether the family can be fitted with what is painted and, when not, why not."""
+    if session.project is None:
+        return False, "Open a project first."
     if starts_from_proposal(session):
         return YES if not session.running else (False, f"Wait until {session.stage or 'the stage'} is done.")
     left = [name for name in unpainted_exemplars(session) if name != painter.name or not has_paint(painter)]
