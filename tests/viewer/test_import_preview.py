@@ -195,8 +195,9 @@ def test_projects_opened_last_come_first_and_lost_ones_go(grouped, tmp_path):
 
 
 def test_the_start_page_opens_a_project_of_before(open_window, qtbot, grouped):
-    window = open_window(grouped)
-    window.actions_table.run("close_project")
+    window = open_window(grouped, "paint")
+    qtbot.keyClick(window, Qt.Key.Key_W, Qt.KeyboardModifier.ControlModifier)
+    assert window.session.project is None
     link = window.start_page.recent_links[grouped.path.resolve()]
     assert link.isVisible()
     qtbot.mouseClick(link, LEFT)

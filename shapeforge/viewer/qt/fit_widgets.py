@@ -27,7 +27,7 @@ def draw_points(
 ) -> QImage:
     """A picture (device pixels) of points (n, 3) with colours (n, 3), far ones first; NaN rows are left out.
 
-    What is switched off has no say in how large the rest is, and is left out where there is no room for it.
+    What is switched off has no say in how large the rest is, and is left out where there is no room for all of it.
     """
     width, height = size
     picture = np.zeros((height, width, 4), np.uint8)
@@ -42,7 +42,8 @@ def draw_points(
         scale = float((room / np.maximum(high - low, 1e-6)).min())
         at = (flat[:, :2] - (low + high) / 2) * scale + np.array([width, height]) / 2 - dot / 2
         order = np.argsort(flat[:, 2])
-        order = order[((at >= 0) & (at <= np.array([width, height]) - dot)).all(axis=1)[order]]
+        if on.any() and not ((at[~on] >= 0) & (at[~on] <= np.array([width, height]) - dot)).all():
+            order = order[on[order]]
         at, inks = np.round(at[order]).astype(int), inks[order]
         for dy in range(dot):
             for dx in range(dot):
