@@ -60,7 +60,7 @@ def make_project(folder: Path) -> Path:
 
 
 def make_fresh(folder: Path) -> Path:
-    """A few shapes imported and grouped, two files that cannot be read, nothing painted: the project's folder."""
+    """A few shapes imported and grouped, one in millimetres, two that cannot be read; nothing painted."""
     from shapeforge.collection.families import write_family
     from shapeforge.collection.iterate import last
     from shapeforge.stages import run
@@ -69,11 +69,19 @@ def make_fresh(folder: Path) -> Path:
     files, place = folder / "files", folder / "new chairs"
     write_family(files, "chairs", 8, seed=3)
     (files / "empty.obj").write_text("v 0 0 0\n")
+    _scaled(files / "chair_0000.obj", files / "armchair_mm.obj", 1000.0)
     (files / "notes.obj").write_text("This is no mesh.\n")
     project = Project.create(place)
     last(run(project, "import", meshes=[files], points=400, jobs=1))
     last(run(project, "group", jobs=1))
     return place
+
+
+def _scaled(path: Path, other: Path, times: float) -> None:
+    """Write a mesh in another unit."""
+    lines = [line.split() for line in path.read_text().splitlines()]
+    moved = [[w[0], *(f"{times * float(x):g}" for x in w[1:4])] if w[:1] == ["v"] else w for w in lines]
+    other.write_text("\n".join(" ".join(words) for words in moved) + "\n")
 
 
 class Tour(Hands):

@@ -5,20 +5,32 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from shapeforge.viewer.display import Display, MeshLayer, PointLayer
+from shapeforge.viewer.display import Display, MeshLayer, PointLayer, View
 from shapeforge.viewer.look import VIEW_DIRECTION, frame_of
+
+ASTRAY = 0.25
+"""Points farther from the box of the shape they lie on than this (of its diagonal) may be out of sight."""
 
 
 def contents(display: Display) -> list[Float[np.ndarray, "n 3"]]:
-    """Finite corners and points (n, 3) shown in each cell."""
-    all_of = [
-        np.concatenate([
-            layer.vertices if isinstance(layer, MeshLayer) else layer.positions
-            for layer in view.layers if isinstance(layer, MeshLayer | PointLayer)
-        ] or [np.zeros((0, 3))])
-        for view in display.views
-    ]  # fmt: skip
-    return [points[np.isfinite(points).all(axis=1)] for points in all_of]
+    """Finite corners and points (n, 3) that are to be seen in each cell: points astray would make the shape tiny."""
+    return [_contents(view) for view in display.views]
+
+
+def _contents(view: View) -> Float[np.ndarray, "n 3"]:
+    corners, points = (
+        np.concatenate([np.zeros((0, 3)), *found])
+        for found in (
+            [layer.vertices for layer in view.layers if isinstance(layer, MeshLayer)],
+            [layer.positions for layer in view.layers if isinstance(layer, PointLayer)],
+        )
+    )
+    corners, points = (one[np.isfinite(one).all(axis=1)] for one in (corners, points))
+    if not len(corners):
+        return points
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    reach = ASTRAY * float(np.linalg.norm(high - low))
+    return np.concatenate([corners, points[((points >= low - reach) & (points <= high + reach)).all(axis=1)]])
 
 
 def framing(

@@ -27,7 +27,7 @@ class FilePreview:
     """One file: what was read, or why it was not (``problem`` and ``remedy``).
 
     ``size`` (3,) is width, height, depth in the file's unit once turned; ``unit`` what is likely for the file by itself
-    (see ``FolderUnit`` for all of them); ``rotation`` what "auto" would turn it by, as
+    (see ``Usual`` for all of them); ``rotation`` what "auto" would turn it by, as
     it stands alone: at the end of the import the files agree among themselves.  ``of`` is how many files there are.
     """
 
@@ -43,11 +43,6 @@ class FilePreview:
     remedy: str = ""
     mesh: Mesh | None = None
     rotation: Float[np.ndarray, "3 3"] | None = None
-
-    @property
-    def is_doubtful(self) -> bool:
-        """It is read, but something about it should be looked at."""
-        return not self.problem and (bool(self.notes) or self.up.startswith("turned"))
 
 
 def previews(paths: Sequence[Path]) -> Iterator[FilePreview]:
@@ -83,23 +78,24 @@ def likely_unit(longest: float) -> str:
 
 
 @dataclass(frozen=True)
-class FolderUnit:
-    """The unit of files that belong together: the ``unit`` that more than half of them have by themselves.
+class Usual:
+    """What files that belong together have in common, each as more than half of them have it by themselves.
 
-    ``unit`` is None where there is no such: then each has its own.  ``middle`` is the median of the longest extents of
-    the files that agree.
+    ``unit`` and ``up`` are None where there is no such: then each file has its own.  ``middle`` is the median of the
+    longest extents of the files that agree on the unit.
     """
 
     unit: str | None = None
     middle: float = 0.0
+    up: str | None = None
 
     def times(self, preview: FilePreview) -> float:
-        """How many times as large as the others a file is whose unit is another (below 1: smaller); 1 where it is not.
+        """How many times as large as the others a file is (below 1: smaller); 1 where it is of their kind.
 
         What is merely a little larger than the others is in their unit, even where by itself it had another one.
         """
         longest = max(preview.size)
-        if self.unit is None or preview.unit == self.unit or longest <= 0:
+        if self.unit is None or longest <= 0:
             return 1.0
         times = longest / self.middle
         return times if max(times, 1 / times) >= OTHER_UNIT else 1.0
@@ -108,45 +104,65 @@ class FolderUnit:
         """The unit of a file among the others."""
         return preview.unit if self.unit is None or self.times(preview) != 1.0 else self.unit
 
+    def is_other_way_up(self, preview: FilePreview) -> bool:
+        """Whether another direction of the file seems to be up than of most; without a majority, than y."""
+        return preview.up != self.up if self.up is not None else preview.up.startswith("turned")
 
-def folder_unit(seen: Sequence[FilePreview]) -> FolderUnit:
+
+def usual(seen: Sequence[FilePreview]) -> Usual:
     """What most files agree on.  "" (such files were scaled) is agreed on like a unit."""
     read = [one for one in seen if not one.problem]
-    if not read:
-        return FolderUnit()
-    unit, count = Counter(one.unit for one in read).most_common(1)[0]
-    if 2 * count <= len(read):
-        return FolderUnit()
-    return FolderUnit(unit, float(np.median([max(one.size) for one in read if one.unit == unit])))
+    unit, up = _majority([one.unit for one in read]), _majority([one.up for one in read])
+    if unit is None:
+        return Usual(up=up)
+    return Usual(unit, float(np.median([max(one.size) for one in read if one.unit == unit])), up)
 
 
-def size_words(preview: FilePreview, folder: FolderUnit | None = None) -> str:
+def _majority(words: Sequence[str]) -> str | None:
+    """What more than half of them say."""
+    most, count = Counter(words).most_common(1)[0] if words else ("", 0)
+    return most if 2 * count > len(words) else None
+
+
+def doubts(preview: FilePreview, among: Usual, up: str = "auto") -> tuple[str, ...]:
+    """Why a file that is read should be looked at, in words: an outlier by size or by what is up, or it was repaired.
+
+    ``up`` is which way the import is to turn the files: what is guessed matters only where it guesses.
+    """
+    if preview.problem:
+        return ()
+    odd = up == "auto" and among.is_other_way_up(preview)
+    turned = (f"{preview.up}, unlike the others" if among.up is not None else preview.up) if odd else ""
+    return tuple(words for words in (other_size_words(preview, among), turned, *preview.notes) if words)
+
+
+def size_words(preview: FilePreview, among: Usual | None = None) -> str:
     """Width × height × depth with the likely unit, "?" since it is a guess: "0.5 × 0.9 × 0.6 m?"."""
     words = " × ".join(f"{value:.3g}" for value in preview.size)
-    unit = (folder or FolderUnit()).of(preview)
+    unit = (among or Usual()).of(preview)
     return f"{words} {unit}?" if unit else words
 
 
-def other_unit_words(preview: FilePreview, folder: FolderUnit) -> str:
-    """That a file seems to be in another unit than the others: "1 000 times as large as the others"; "" if it isn't."""
-    times = folder.times(preview)
+def other_size_words(preview: FilePreview, among: Usual) -> str:
+    """That a file is far from the others' size, as by another unit: "1 000 times as large as the others"; else ""."""
+    times = among.times(preview)
     if times == 1.0:
         return ""
     number, what = (times, "large") if times > 1 else (1 / times, "small")
     return f"{float(f'{number:.2g}'):,.0f} times as {what} as the others".replace(",", "\u202f")
 
 
-def summary(seen: Sequence[FilePreview]) -> str:
-    """One sentence on all files seen so far: how many can be read, their unit, how many seem to lie."""
+def summary(seen: Sequence[FilePreview], up: str = "auto") -> str:
+    """One sentence on all files seen so far: how many can be read, their unit, what is up, how many need a look."""
     read = [one for one in seen if not one.problem]
     text = f"{len(read)} of {len(seen)} can be read"
-    folder = folder_unit(seen)
-    if folder.unit:
-        text += f" · sizes look like {UNIT_WORDS[folder.unit]}"
-        others = sum(folder.times(one) != 1.0 for one in read)
-        text += f", of {others} not" if others else ""
-    lying = sum(one.up.startswith("turned") for one in read)
-    return text + (f" · {lying} seem{'s' * (lying == 1)} not to stand upright" if lying else "")
+    among = usual(seen)
+    if among.unit:
+        text += f" · sizes look like {UNIT_WORDS[among.unit]}"
+    if among.up is not None and among.up.startswith("turned") and up == "auto":
+        text += f" · most are {among.up}"
+    odd = sum(bool(doubts(one, among, up)) for one in read)
+    return text + (f" · {odd} need{'s' * (odd == 1)} a look" if odd else "")
 
 
 def upright_mesh(preview: FilePreview, up: str = "auto") -> Mesh:

@@ -52,13 +52,18 @@ class MeshWorker:
     """A thread that makes the mesh of the newest wish; wishes overtaken meanwhile are forgotten.
 
     ``nearest(points)`` names the training shape nearest to a draw and how far it is; ``arrived()`` is called from the
-    thread when ``take()`` has something new.
+    thread when ``take()`` has something new; ``prepare()`` when there is nothing to do after a wish.
     """
 
     def __init__(
-        self, session: Session, nearest: Callable[[np.ndarray], tuple[str, float]], arrived: Callable[[], None]
+        self,
+        session: Session,
+        nearest: Callable[[np.ndarray], tuple[str, float]],
+        arrived: Callable[[], None],
+        prepare: Callable[[], object] | None = None,
     ) -> None:
         self._session, self._nearest, self._arrived = session, nearest, arrived
+        self._prepare, self._prepared = prepare, prepare is None
         self._wake = threading.Condition()
         self._wish: Wish | None = None
         self._result: Made | Exception | None = None
@@ -122,7 +127,7 @@ class MeshWorker:
             with self._wake:
                 while self._wish is None and not self._besides and not self._closed:
                     self.busy = False
-                    if not self._wake.wait(REST if self._ahead else None):
+                    if not self._wake.wait(REST if self._ahead or not self._prepared else None):
                         break
                 if self._closed:
                     return
@@ -134,8 +139,9 @@ class MeshWorker:
                 self._make_beside(asked, beside)
                 continue
             if wish is None:
-                self._read_ahead()
+                self._do_ahead()
                 continue
+            self._prepared = self._prepare is None
             try:
                 result: Made | Exception = self._make(wish)
             except Exception as error:  # whatever it is, the window has to say it and go on
@@ -147,10 +153,14 @@ class MeshWorker:
             if not closed:
                 self._arrived()
 
-    def _read_ahead(self) -> None:
-        """Read and prepare the parts of one more shape that may be wanted next; one that cannot be read is left out."""
-        index = self._ahead.pop(0)
+    def _do_ahead(self) -> None:
+        """What may be wanted next: ``prepare``, then parts of one more shape; one that cannot be read is left out."""
         with contextlib.suppress(Exception):  # who wants it will hear of it
+            if not self._prepared:
+                self._prepared = True
+                self._prepare()
+                return
+            index = self._ahead.pop(0)
             sources = self._sources_now()
             for part in sources.parts_of(index).values():
                 part.prepare()

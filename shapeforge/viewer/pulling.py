@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import threading
+from collections.abc import Callable, Collection
+from typing import Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,6 +13,21 @@ from shapeforge.viewer.recipe import Place
 
 MET = 0.02
 """Diagonals within which a point is where it is held."""
+
+Found = TypeVar("Found")
+
+
+class FoundOnce(Generic[Found]):
+    """What takes long to find: called from whichever thread first, it is found; from then on it is known."""
+
+    def __init__(self, find: Callable[[], Found]) -> None:
+        self._find, self._lock = find, threading.Lock()
+
+    def __call__(self) -> Found:
+        with self._lock:
+            if not hasattr(self, "_found"):
+                self._found = self._find()
+            return self._found
 
 
 def handles_of(points: Float[np.ndarray, "K 3"], count: int = 9, pinned: Collection[int] = ()) -> Int[np.ndarray, " h"]:

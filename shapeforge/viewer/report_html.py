@@ -22,19 +22,19 @@ def image(picture: np.ndarray | None, alt: str) -> str:
 
 
 def table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
-    """A table of ready HTML cells; numbers stand right."""
+    """A table of ready HTML cells; numbers stand right, and above a column of them so does its heading."""
 
-    def cell(text: str, kind: str = "td") -> str:
-        numeric = (
-            re.fullmatch(
-                r"[\d.\N{NARROW NO-BREAK SPACE}\N{MINUS SIGN}e+-]+( s| %)?|–|took|value|ours|affine transfer", text
-            )
-            is not None
-        )
-        return f"<{kind}{' class=n' if numeric else ''}>{text}</{kind}>"
+    def is_number(text: str) -> bool:
+        return re.fullmatch(r"[\d. \N{NARROW NO-BREAK SPACE}\N{MINUS SIGN}e+-]+( s| %)?|–", text) is not None
 
-    top = f"<thead><tr>{''.join(cell(text, 'th') for text in head)}</tr></thead>" if head else ""
-    body = "".join(f"<tr>{''.join(cell(text) for text in row)}</tr>" for row in rows)
+    def cell(text: str, right: bool, kind: str = "td") -> str:
+        return f"<{kind}{' class=n' if right else ''}>{text}</{kind}>"
+
+    columns = [[row[i] for row in rows if i < len(row) and row[i]] for i in range(len(head))]
+    above = [bool(column) and all(map(is_number, column)) for column in columns]
+    top = "".join(cell(text, right, "th") for text, right in zip(head, above, strict=True))
+    top = f"<thead><tr>{top}</tr></thead>" if head else ""
+    body = "".join(f"<tr>{''.join(cell(text, is_number(text)) for text in row)}</tr>" for row in rows)
     return f"<div class=scroll><table>{top}<tbody>{body}</tbody></table></div>"
 
 

@@ -70,7 +70,7 @@ def overview(project: Any) -> str:
         if found.state == "stale":
             said = f"{said} (stale: {found.reason})"
         took = f"{record['seconds']:.0f} s" if record.get("seconds") is not None else ""
-        rows.append([f'<b class="{tone}">{mark}</b> {stage}', found.state, escape(said), took])
+        rows.append([f'<span class=n><b class="{tone}">{mark}</b> {stage}</span>', found.state, escape(said), took])
     ahead = next_step(project).replace(str(project.path), project.name)
     return table(rows, ("stage", "state", "", "took")) + f"<p class=note>Next: {escape(ahead)}</p>"
 

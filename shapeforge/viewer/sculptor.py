@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,10 +21,11 @@ from shapeforge.generative.scales import Scales
 from shapeforge.generative.units import Direction, bundles, drive, drive_latents, single_units
 from shapeforge.synthesis.assemble import SynthesizedShape
 from shapeforge.synthesis.complete import completed_parts
-from shapeforge.synthesis.mirror import FamilyMirror, find_mirror
+from shapeforge.synthesis.mirror import find_mirror
 from shapeforge.synthesis.sources import touching_shares
 from shapeforge.viewer.display import MeshLayer, PointLayer
 from shapeforge.viewer.palette import label_colours
+from shapeforge.viewer.pulling import FoundOnce
 from shapeforge.viewer.readiness import group_of
 from shapeforge.viewer.recipe import Place
 from shapeforge.viewer.recipe import Recipe as Recipe
@@ -78,24 +80,17 @@ class Sculptor:
         self.scales = Scales(self.machine, self.latents, self.directions)
         self._home: tuple[Any, np.ndarray] = (None, np.zeros(0))
         self._followed: tuple[Any, Any, Any] = (None, None, None)
-        self._mirror: FamilyMirror | None = None
         units = np.array([self.unit(index) for index in range(len(self.directions))])
         self.rows = self.scales.rows(self.machine.sizes) / units[:, None]
         self.part, self.part_names = self.observations.part, tuple(self.observations.part_names)
         self.shape_names = tuple(project.fit_names)
         self.positions = self.observations.positions()
+        self.mirror = FoundOnce(partial(find_mirror, self.positions, self.observations.exists, self.part))
         self.touching = touching_shares(self.positions, self.part, len(self.part_names))
         self.names = self._names()
         self.recipes, self.done = [], -1
         self.start(Recipe("mean", self.mean_base(), origin="mean"))
         return True
-
-    @property
-    def mirror(self) -> FamilyMirror:
-        """The family's mirror plane; found when a point is first pulled at."""
-        if self._mirror is None:
-            self._mirror = find_mirror(self.positions, self.observations.exists, self.part)
-        return self._mirror
 
     @property
     def has_machine(self) -> bool:
@@ -309,7 +304,7 @@ class Sculptor:
             # The same numbers each time: what follows a hand must not tremble.
             rng = np.random.default_rng(FOLLOWING)
             at = np.asarray(self.machine.to_positions(decode(self.machine, found), exists[None])[0], np.float64)
-            held = self.mirror.with_twins(self.known(pins), at, self.part)
+            held = self.mirror().with_twins(self.known(pins), at, self.part)
             followed = follow(self.machine, self.mixture, found, held, rng=rng, kept=rows)
             self._followed = (base, key, followed)
         return self._followed[2]
@@ -340,6 +335,11 @@ class Sculptor:
     def seen(self) -> Bool[np.ndarray, " L"]:
         """Parts that any shape of the family has (L,)."""
         return self.observations.exists.any(axis=0)
+
+    def prepare(self) -> None:
+        """Find what pulling needs, before anybody pulls: with thousands of points it takes a second."""
+        if self.has_machine:
+            self.mirror()
 
     def nearest(self, points: Float[np.ndarray, "K 3"]) -> tuple[str, float]:
         """The shape of the family nearest to these points and the mean distance (diagonals) over the points of both."""

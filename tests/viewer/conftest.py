@@ -187,6 +187,43 @@ def _synthesize(qapp, _learnt, sources, tmp_path_factory) -> Iterator:
         close_windows([window])
 
 
+@pytest.fixture(scope="module")
+def _correspondence(qapp, tmp_path_factory: pytest.TempPathFactory) -> Iterator:
+    """A real window for all tests of the Correspondence place in a module: a window costs a second."""
+    from shapeforge.viewer.qt.window import Window
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SHAPEFORGE_CONFIG", str(tmp_path_factory.mktemp("settings")))
+        window = Window()
+        window.move(0, 0)
+        yield window
+        close_windows([window])
+
+
+@pytest.fixture
+def lightbox(_correspondence, fitted: Project, qapp) -> Iterator:
+    """The Correspondence place as it is first entered, on a project of its own."""
+    window = _correspondence
+    place, session = window.place("correspondence"), window.session
+    place.sort, place.count, place.overlaid = "high", 12, False
+    place.sorting.set_value("high")
+    place._colour_chosen("spread")
+    session.theme, session.linked = "dark", True
+    window.resize(1440, 900)
+    session.open(fitted)
+    session.place = "correspondence"
+    window.show()
+    window.activateWindow()
+    wait_until(qapp, window.isActiveWindow)
+    drawn = place.view.frames
+    place.show(fit=True)
+    wait_until(qapp, lambda: place.view.frames > drawn and not place.box.unread)
+    place.centre.setFocus()
+    yield place
+    session.open(None)
+    assert not window.runner.running
+
+
 def wait_until(application, there: Callable[[], bool], seconds: float = 20.0) -> None:
     """Let the window work until something is so."""
     end = time.monotonic() + seconds

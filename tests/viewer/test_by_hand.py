@@ -11,10 +11,8 @@ from PySide6.QtCore import QPoint, Qt
 
 from shapeforge.collection.colours import PARTS
 from shapeforge.viewer.qt import choose_platform
-from tests.viewer.test_correspondence_place import click, lightbox, seen_points, spot
+from tests.viewer.test_correspondence_place import click, seen_points, spot
 from tests.viewer.test_part_edits import share_of
-
-__all__ = ["lightbox"]  # a fixture
 
 LEFT, RIGHT = Qt.MouseButton.LeftButton, Qt.MouseButton.RightButton
 

@@ -259,6 +259,18 @@ def test_groups_are_listed_with_their_numbers(place, qtbot):
         assert [one.property("current") for one in place.groups.rows].count("true") == 1
 
 
+def test_what_stands_beside_the_exemplar_ends_with_its_picture(window, place):
+    window.resize(1280, 800)
+    inspector = place.inspector
+
+    def right(one) -> int:
+        return one.mapTo(inspector, one.rect().bottomRight()).x()
+
+    assert place.typical.text().startswith("typical: ")
+    assert right(place.typical) == right(place.preview.parentWidget()) == right(place.choose_button)
+    assert right(place.preview) <= right(place.preview.parentWidget()), "no picture is cut off"
+
+
 def test_files_not_read_are_named_with_the_reason(place, qtbot):
     assert place.problems.read_count.text() == "8 of 9 read"
     from PySide6.QtWidgets import QLabel

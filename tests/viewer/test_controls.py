@@ -11,6 +11,7 @@ from PySide6.QtWidgets import QAbstractButton, QAbstractSlider, QComboBox, QLine
 
 from shapeforge.collection.labels import PartNames
 from shapeforge.viewer.qt.controls import Clickable, EditableName
+from shapeforge.viewer.qt.paint_words import can_fit
 from shapeforge.viewer.qt.widgets import ElidedLabel, button, column, framed, row, scrolled
 
 LEFT = Qt.MouseButton.LeftButton
@@ -92,6 +93,19 @@ def test_a_long_name_is_edited_whole(qtbot):
     assert name.editor.text() == LONG
     qtbot.keyClick(name.editor, Qt.Key.Key_Return)
     assert heard == [] and name.text() == LONG, "nothing was changed"
+
+
+def test_the_next_exemplar_of_a_long_name_is_named_in_one_line(open_window, grouped, qtbot, monkeypatch):
+    monkeypatch.setattr("shapeforge.viewer.qt.paint_sections.next_to_paint", lambda session: LONG)
+    monkeypatch.setattr("shapeforge.viewer.qt.paint_words.unpainted_exemplars", lambda session: [LONG])
+    window = open_window(grouped, "paint")
+    window.resize(1280, 800)
+    step = window.places["paint"].next
+    can, why = can_fit(window.session, window.places["paint"].painter)
+    step.show_next((can, why), None)
+    qtbot.waitUntil(lambda: step.fit_why.height() >= step.fit_why.heightForWidth(step.fit_why.width()))
+    assert not can and step.go_exemplar.isVisible() and LONG in step.go_exemplar.toolTip()
+    assert step.go_exemplar.fontMetrics().horizontalAdvance(step.go_exemplar.text()) <= step.width() - 32
 
 
 def test_what_is_too_wide_in_an_inspector_pushes_nothing_else_out(qtbot):

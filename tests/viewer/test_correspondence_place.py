@@ -23,14 +23,6 @@ LEFT, NONE = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
 CONTROL = Qt.KeyboardModifier.ControlModifier
 
 
-@pytest.fixture
-def lightbox(open_window, fitted, qtbot):
-    window = open_window(fitted, "correspondence")
-    place = window.places["correspondence"]
-    qtbot.waitUntil(lambda: place.view.frames > 0, timeout=20000)
-    return place
-
-
 def spot(place, cell: int, point: int) -> QPoint | None:
     """Where template point ``point`` is seen in a cell: None when something is in front of it."""
     shape = place.box.shape(place.names[cell])
@@ -151,6 +143,18 @@ def test_sorting_and_counting(lightbox):
     assert len(lightbox.names) == len(lightbox.view.shown.views) == 4
     lightbox._sort_chosen("name")
     assert list(lightbox.names) == sorted(lightbox.names)
+
+
+def test_turning_pages_shows_every_shape_once_whatever_is_picked(lightbox, qtbot):
+    lightbox._count_chosen("4")
+    first, order = lightbox.names, lightbox.order
+    click(qtbot, lightbox, spot(lightbox, 0, seen_points(lightbox, 0)[0]))
+    assert lightbox.session.picked is not None and lightbox.names == first, "a pick moves no shape"
+    qtbot.mouseClick(lightbox.after, LEFT)
+    assert lightbox.order == order and not set(first) & set(lightbox.names)
+    lightbox.actions.run("show_worst")
+    sure = [lightbox.box.confidence(name, lightbox.session.picked) for name in lightbox.order]
+    assert sure == sorted(sure), "chosen anew, the order is that of the point"
 
 
 def test_two_shapes_are_overlaid_and_it_says_why_not(lightbox, qtbot):

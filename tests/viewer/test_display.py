@@ -9,6 +9,7 @@ from shapeforge.viewer.display import (
     Display,
     Mark,
     MeshLayer,
+    PointLayer,
     View,
     coordinate_colours,
     face_colours,
@@ -16,6 +17,7 @@ from shapeforge.viewer.display import (
     probability_colours,
     record_borders,
 )
+from shapeforge.viewer.framing import contents, framing
 from shapeforge.viewer.palette import SWITCHED_OFF, UNPAINTED, part_colours, rgb
 
 
@@ -67,3 +69,21 @@ def test_colours_of_places_tell_places_apart():
     assert len(np.unique(coordinate_colours(corners), axis=0)) == 8
     with_gap = coordinate_colours(np.vstack([corners, [[np.nan] * 3]]))
     assert with_gap.shape == (9, 3)
+
+
+def box_and_points(positions: np.ndarray) -> Display:
+    corners = np.array([[x, y, z] for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])
+    mesh = MeshLayer("mesh", corners, np.array([[0, 1, 2]]), np.zeros((1, 3), np.uint8))
+    dots = PointLayer("points", positions, np.zeros((len(positions), 3), np.uint8), 3.0)
+    return Display((View((mesh, dots)),), 1, 1)
+
+
+def test_points_astray_make_no_shape_small():
+    """The camera of a fit stands by the shape; points near it are seen all the same, and points alone as they are."""
+    near, far = np.array([[1.4, 1.4, -0.4]]), np.array([[0.5, 7.0, 0.5]])
+    alone = framing(box_and_points(np.zeros((0, 3))), (400, 400))
+    assert framing(box_and_points(far), (400, 400)) == alone
+    assert framing(box_and_points(near), (400, 400)) != alone
+    assert contents(box_and_points(near))[0].max() == 1.4
+    cloud = View((PointLayer("points", far, np.zeros((1, 3), np.uint8), 3.0),))
+    assert contents(Display((cloud,), 1, 1))[0].tolist() == far.tolist()

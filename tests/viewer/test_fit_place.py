@@ -19,7 +19,7 @@ from shapeforge.viewer.fit_display import FittedPoints, TemplateLook, movement, 
 from shapeforge.viewer.palette import SWITCHED_OFF, part_colours, rgb, tokens
 from shapeforge.viewer.qt.fit_panel import FitPlace
 from shapeforge.viewer.qt.fit_report import energy_text, existence_text
-from shapeforge.viewer.qt.fit_widgets import draw_points
+from shapeforge.viewer.qt.fit_widgets import Scrubber, draw_points
 from shapeforge.viewer.qt.plots import Curves, nice_ticks
 from shapeforge.viewer.readiness import QUALITIES
 from tests.viewer.turned import turn_shape
@@ -75,6 +75,18 @@ def test_the_nearest_point_is_drawn_last():
         image = draw_points(positions[order], inks[order], (41, 41), (0.0, 0.0, 1.0), 3)
         middle = QColor(image.pixelColor(20, 20))
         assert (middle.red(), middle.green()) == (255, 0)
+
+
+def test_what_is_switched_off_makes_no_small_picture_smaller():
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    far = np.array([[0.5, 9.0, 0]])
+    inks = np.tile(np.array(rgb(PARTS[0]), np.uint8), (4, 1))
+    alone = draw_points(square, inks, (40, 40), (0.0, 0.0, 1.0))
+    grey = np.array([rgb(SWITCHED_OFF)], np.uint8)
+    with_far = draw_points(np.concatenate([square, far]), np.concatenate([inks, grey]), (40, 40), (0.0, 0.0, 1.0))
+    assert with_far == alone
+    seen = draw_points(np.concatenate([square, far]), np.concatenate([inks, inks[:1]]), (40, 40), (0.0, 0.0, 1.0))
+    assert seen != alone, "a point of a part that is on is always seen"
 
 
 @pytest.mark.parametrize(("low", "high"), [(2.2, 3.9), (0.0, 1e-6), (-12.4, -11.9), (0.0, 97.0), (1.0, 1.0001)])
@@ -192,7 +204,7 @@ def test_running_pausing_stepping_stopping(open_window, fitted, qtbot):
     qtbot.wait(50)
     assert place.record.newest == 0, "a step is one round: the affine start"
     assert session.is_paused and place.run.text() == "Resume"
-    assert place.strip.left_text.text() == "· paused" and "paused" in place.strip.phase_text.full_text()
+    assert place.strip.left_text.text() == "· paused" and "kept" in place.strip.phase_text.full_text()
     qtbot.mouseClick(place.step, LEFT)
     qtbot.waitUntil(lambda: place.record.newest == 1 and window.runner.paused, timeout=LONG)
     qtbot.wait(50)
@@ -426,9 +438,9 @@ def test_energy_movement_and_spread_are_the_fits_own(open_window, fitted, qtbot)
     assert len(set(columns)) > 1, "a curve is drawn"
     begun = fitted.fit().family_from
     assert place.record.family_after == begun and 0 <= begun < place.record.newest
-    assert place.report.phase_text.isVisible() and "another sum" in place.report.phase_text.text()
+    assert "another sum" in place.report.energy.toolTip()
     first = energy_text(place.record, begun + 1)
-    assert first.startswith(f"{figures[begun + 1]['energy']:.3f} nats: the first round of the family".replace("-", "−"))
+    assert first.startswith(f"{figures[begun + 1]['energy']:.3f} nats: the family's first round".replace("-", "−"))
     assert "This round" not in first, "nothing got better or worse: it is another sum"
 
 
@@ -468,6 +480,38 @@ def test_a_phase_of_one_round_is_seen(qtbot):
     curves.set_series([(range(4), [5.0, 4.0, 3.0, 4.0], INK)], 10, 0.0)
     curves.set_phase(2)
     assert inked(curves) & set(range(44 + 60 - 2, 44 + 60 + 3))
+
+
+def test_the_rounds_to_look_back_at_are_parted_where_the_familys_begin(qtbot):
+    scrubber, grey = Scrubber(), tokens("dark")["separator_strong"].lower()
+    qtbot.addWidget(scrubber)
+    scrubber.resize(26 + 26 + 400, 96)
+    scrubber.set_state(10, 10, 10, {})
+
+    def parted() -> set[int]:
+        """Rounds after which a line stands."""
+        shot = scrubber.grab().toImage()
+        columns = {n: 26 + 40 * n + 20 for n in range(10)}
+        return {n for n, x in columns.items() if all(shot.pixelColor(x, y).name() == grey for y in range(20, 55))}
+
+    assert parted() == set()
+    scrubber.set_phase(6)
+    assert parted() == {6} and "from round 7 on by the family's own" in scrubber.toolTip()
+    scrubber.set_phase(None)
+    assert parted() == set()
+
+
+def test_what_can_be_done_about_a_part_that_is_off_is_seen_without_scrolling(open_window, fitted, qtbot):
+    window = open_window(fitted, "fit")
+    window.resize(1280, 800)
+    place, session = place_of(window), window.session
+    off = {name: int((~place.record.beliefs(name).active).sum()) for name in fitted.names}
+    session.shape = next(name for name in fitted.names if off[name])
+    place._show_all()
+    assert place.record.family_after is not None, "the curves are in two phases"
+    note = next(iter(place.report.notes.values()))
+    links = [one for one in (note.override, note.show_others) if not one.isHidden()]
+    qtbot.waitUntil(lambda: all(one.visibleRegion().boundingRect().size() == one.size() for one in links))
 
 
 def test_a_fit_that_became_stale_says_so(open_window, fitted, qtbot):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,12 +11,13 @@ from PySide6.QtCore import Qt
 from shapeforge.store import Project
 from shapeforge.viewer.import_preview import (
     FilePreview,
-    folder_unit,
+    doubts,
     likely_unit,
-    other_unit_words,
+    other_size_words,
     previews,
     size_words,
     summary,
+    usual,
 )
 from shapeforge.viewer.palette import tokens
 from shapeforge.viewer.recent import recent_projects, remember
@@ -55,11 +57,12 @@ def test_the_likely_unit(longest, unit):
 def test_every_file_is_seen_before_it_is_imported(models):
     seen = {one.name: one for one in previews([models])}
     assert seen["a"].n_faces > 0 and seen["a"].up == "y is up" and not seen["a"].problem
-    assert seen["lying"].up.startswith("turned") and seen["lying"].is_doubtful
+    among = usual(list(seen.values()))
+    assert seen["lying"].up.startswith("turned") and doubts(seen["lying"], among) and not doubts(seen["a"], among)
     assert seen["large"].unit == "mm"
     assert seen["notes"].problem and seen["notes"].remedy and seen["notes"].mesh is None
     words = summary(list(seen.values()))
-    assert words.startswith("3 of 4 can be read") and "1 seems not to stand upright" in words
+    assert words.startswith("3 of 4 can be read") and "2 need a look" in words
 
 
 def files_of(*longest: float) -> list[FilePreview]:
@@ -75,37 +78,68 @@ def test_files_of_a_folder_are_in_one_unit(scale):
     """Some are on the other side of a bound by themselves, one had been scaled to 1: none is another kind of file."""
     low, high = {1.0: (0.7, 13.0), 30.0: (11.0, 90.0), 900.0: (300.0, 4000.0)}[scale]
     files = files_of(low, scale * 1.1, scale * 1.2, scale * 2, scale * 3, high)
-    folder = folder_unit(files)
-    assert folder.unit == likely_unit(scale * 1.1) and len({one.unit for one in files}) == 2
-    kin = [one for one in files if max(one.size) / folder.middle < 8]
-    assert all(size_words(one, folder).endswith(f" {folder.unit}?") for one in kin) and len(kin) >= 5
-    assert not any(other_unit_words(one, folder) for one in kin)
+    among = usual(files)
+    assert among.unit == likely_unit(scale * 1.1) and len({one.unit for one in files}) == 2
+    kin = [one for one in files if max(one.size) / among.middle < 8]
+    assert all(size_words(one, among).endswith(f" {among.unit}?") for one in kin) and len(kin) >= 5
+    assert not any(other_size_words(one, among) for one in kin)
 
 
 def test_a_file_in_another_unit_is_marked():
     files = files_of(0.9, 0.8, 1.1, 0.85, 2.0, 870.0, 88.0)
-    folder = folder_unit(files)
-    assert [size_words(one, folder).split()[-1] for one in files] == ["m?"] * 5 + ["mm?", "cm?"]
-    assert [other_unit_words(one, folder) for one in files[:5]] == [""] * 5
-    assert other_unit_words(files[5], folder) == "970 times as large as the others"
-    assert "metres, of 2 not" in summary(files)
+    among = usual(files)
+    assert [size_words(one, among).split()[-1] for one in files] == ["m?"] * 5 + ["mm?", "cm?"]
+    assert [other_size_words(one, among) for one in files[:5]] == [""] * 5
+    assert other_size_words(files[5], among) == "970 times as large as the others"
+    assert "metres · 2 need a look" in summary(files)
     large = files_of(870.0, 900.0, 0.9)
-    assert other_unit_words(large[2], folder_unit(large)) == "980 times as small as the others"
+    assert other_size_words(large[2], usual(large)) == "980 times as small as the others"
 
 
 def test_without_a_majority_every_file_has_its_own_unit():
     files = files_of(0.9, 0.8, 870.0, 900.0)
-    folder = folder_unit(files)
-    assert folder.unit is None and [size_words(one, folder).split()[-1] for one in files] == ["m?", "m?", "mm?", "mm?"]
-    assert folder_unit([]).unit is None and "look like" not in summary(files)
+    among = usual(files)
+    assert among.unit is None and [size_words(one, among).split()[-1] for one in files] == ["m?", "m?", "mm?", "mm?"]
+    assert usual([]).unit is usual([]).up is None and "look like" not in summary(files)
+
+
+def test_a_much_smaller_file_is_marked_whose_own_guess_is_the_same_unit():
+    files = files_of(0.9, 0.8, 1.1, 0.06)
+    assert files[3].unit == "m" and doubts(files[3], usual(files)) == ("14 times as small as the others",)
+    assert not any(doubts(one, usual(files)) for one in files[:3])
+
+
+UP, TURNED = "y is up", "turned: z seems to be up in the file"
+
+
+@pytest.mark.parametrize(("most", "odd"), [(UP, TURNED), (TURNED, UP)])
+def test_a_file_is_marked_in_which_another_way_is_up_than_in_the_others(most, odd):
+    files = [replace(one, up=odd if i == 2 else most) for i, one in enumerate(files_of(0.9, 0.8, 1.1, 0.85))]
+    among = usual(files)
+    assert [bool(doubts(one, among)) for one in files] == [False, False, True, False]
+    assert doubts(files[2], among) == (f"{odd}, unlike the others",)
+    assert not any(doubts(one, among, "z") for one in files), "nothing is guessed"
+    assert (f"most are {TURNED}" in summary(files)) == (most == TURNED)
+    assert summary(files).endswith("1 needs a look") and "a look" not in summary(files, "z")
+
+
+def test_a_repaired_file_is_marked():
+    files = files_of(0.9, 0.8, 1.1)
+    files[1] = replace(files[1], notes=("2 faces without area, ignored",))
+    assert [doubts(one, usual(files)) for one in files] == [(), files[1].notes, ()]
 
 
 def has_tick(dialog, line: int) -> bool:
     """Whether a tick is seen in the box before a name."""
+    return shows(dialog, line, 0, tokens(dialog.session.theme)["on_accent"].lower(), 26)
+
+
+def shows(dialog, line: int, column: int, wanted: str, width: int | None = None) -> bool:
+    """Whether a colour is seen in a cell, or in the first ``width`` pixels of it."""
     table = dialog.table
-    where = table.visualItemRect(table.item(line, 0))
-    shot = table.viewport().grab(where.adjusted(0, 0, 26 - where.width(), 0)).toImage()
-    wanted = tokens(dialog.session.theme)["on_accent"].lower()
+    where = table.visualItemRect(table.item(line, column))
+    where.setWidth(width or where.width())
+    shot = table.viewport().grab(where).toImage()
     return any(shot.pixelColor(x, y).name() == wanted for x in range(shot.width()) for y in range(shot.height()))
 
 
@@ -122,6 +156,10 @@ def test_a_drop_shows_what_was_found_and_imports_what_is_ticked(open_window, qtb
     assert [dialog.table.item(rows[name], 2).text().split()[-1] for name in ("a", "large")] == ["m?", "mm?"]
     assert dialog.table.item(rows["large"], 3).text().startswith("1\u202f000 times as large as the others · ")
     assert "times" not in dialog.table.item(rows["lying"], 3).text()
+    assert dialog.table.item(rows["lying"], 3).text().endswith(", unlike the others")
+    assert [rows[name] for name in ("notes", "large", "lying", "a")] == [0, 1, 2, 3], "what needs a look comes first"
+    warned = tokens(window.session.theme)["warning"].lower()
+    assert [shows(dialog, rows[name], 3, warned) for name in ("a", "large", "lying")] == [False, True, True]
     qtbot.waitUntil(lambda: dialog.pictures.waiting == 0, timeout=60000)
     icon = dialog.table.item(rows["a"], 0).icon().pixmap(40, 40).toImage()
     assert any(icon.pixelColor(x, y).alpha() > 100 for x in range(icon.width()) for y in range(icon.height()))
@@ -157,8 +195,9 @@ def test_projects_opened_last_come_first_and_lost_ones_go(grouped, tmp_path):
 
 
 def test_the_start_page_opens_a_project_of_before(open_window, qtbot, grouped):
-    window = open_window(grouped)
-    window.actions_table.run("close_project")
+    window = open_window(grouped, "paint")
+    qtbot.keyClick(window, Qt.Key.Key_W, Qt.KeyboardModifier.ControlModifier)
+    assert window.session.project is None
     link = window.start_page.recent_links[grouped.path.resolve()]
     assert link.isVisible()
     qtbot.mouseClick(link, LEFT)

@@ -18,12 +18,10 @@ from shapeforge.viewer.palette import SWITCHED_OFF, rgb
 from tests.viewer.paint_hands import move
 from tests.viewer.test_by_hand import pixels, settled
 from tests.viewer.test_collection_place import drag, spot
-from tests.viewer.test_correspondence_place import click, lightbox, seen_points
+from tests.viewer.test_correspondence_place import click, seen_points
 from tests.viewer.test_correspondence_place import spot as point_spot
 from tests.viewer.test_fit_place import LONG, place_of
 from tests.viewer.test_part_edits import share_of
-
-__all__ = ["lightbox"]  # a fixture
 
 LEFT, SHIFT = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.ShiftModifier
 

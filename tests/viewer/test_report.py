@@ -16,6 +16,7 @@ from shapeforge.generative.units import bundles
 from shapeforge.viewer import likeness, svg
 from shapeforge.viewer.pictures import close_studio
 from shapeforge.viewer.report import chosen_shapes, report_text, write_report
+from shapeforge.viewer.report_html import table
 from shapeforge.viewer.report_measures import flattened
 from shapeforge.viewer.report_sections import BUNDLES, fit, parts, phases_of, recorded_movement
 from tests.viewer.learned_family import learned_family
@@ -259,3 +260,9 @@ def test_histogram_bars_fill_their_bins():
     assert '<line x1="30.0"' in text
     with pytest.raises(ValueError, match="edges: wanted 3 edges for 2 bars"):
         svg.histogram([1, 2], [0, 1], title="")
+
+
+def test_headings_stand_above_the_numbers_of_their_column():
+    made = table([["a", "1", "–"], ["b", "2 + 1", "30 %"], ["3", "", "x"]], ("shape", "long part", "mixed"))
+    assert "<th>shape</th><th class=n>long part</th><th>mixed</th>" in made
+    assert "<td class=n>2 + 1</td><td class=n>30 %</td>" in made and "<td>x</td>" in made

@@ -215,7 +215,7 @@ def test_a_draw_has_locked_sliders_where_they_are_with_pins_and_without(pinned):
 
 def test_a_pulled_point_and_its_twin_go_as_far_as_each_other_and_the_mesh_with_them(sculptor):
     """Points that move on one side only would be halved by the symmetry of the mesh."""
-    before, mirror, part = sculptor.points(), sculptor.mirror, sculptor.part
+    before, mirror, part = sculptor.points(), sculptor.mirror(), sculptor.part
     assert mirror.symmetric[part].any()
     there = np.isfinite(before).all(axis=1) & mirror.symmetric[part]
     off = np.where(there, np.abs(before @ mirror.normal - mirror.place(before, part)), 0.0)

@@ -22,6 +22,16 @@ from tests.viewer.synthesize_hands import LEFT, LONG, NONE, layer_kinds, wait_fo
 # ---- the worker ---------------------------------------------------------------------------------
 
 
+def test_what_pulling_needs_is_found_while_nobody_waits_for_a_mesh(place, qtbot, monkeypatch):
+    found, mirror = [], place.sculptor.mirror
+    monkeypatch.setattr(type(mirror), "__call__", lambda self: found.append(threading.current_thread().name) or 1)
+    wait_for_mesh(place, qtbot)
+    place.actions.run("random")
+    wait_for_mesh(place, qtbot)
+    qtbot.waitUntil(lambda: bool(found), timeout=LONG)
+    assert set(found) == {"meshes"}
+
+
 def test_the_worker_makes_the_newest_wish_only(sculptor, monkeypatch):
     begun, go, made = threading.Event(), threading.Event(), []
 
@@ -251,10 +261,12 @@ def test_a_draw_of_the_gallery_is_taken_with_a_click_and_can_be_undone(place, qt
     assert place.actions.run("gallery")
     gallery = place.shows.gallery
     assert gallery.isVisibleTo(place.centre) and not place.view.isVisibleTo(place.centre) and len(gallery.cards) == 12
+    assert place.gallery_button.isChecked()
     qtbot.waitUntil(lambda: len(gallery.made) >= 3, timeout=LONG)
     wanted = gallery.recipes[1]
     qtbot.mouseClick(gallery.cards[1], LEFT, NONE, QPoint(60, 60))
     assert place.view.isVisibleTo(place.centre) and not gallery.isVisibleTo(place.centre)
+    assert not place.gallery_button.isChecked()
     assert np.array_equal(place.sculptor.recipe.base.top, wanted.base.top)
     taken = place.points.copy()
     place.actions.run("undo")

@@ -138,7 +138,9 @@ class CollectionPlace:
         holder.setLayout(column(self.groups, separator(), spacing=0))
         self.exemplar_title, self.typical = ElidedLabel("", "heading"), label("", "caption")
         self.preview = Picture(PREVIEW, top=PREVIEW_WORDS)
-        self.preview_name, self.preview_about = ElidedLabel("", "strong"), label("", "caption")
+        self.preview.setMinimumWidth(0)  # beside a scroll bar there is less room
+        self.preview_name = ElidedLabel("", "strong", Qt.TextElideMode.ElideMiddle)
+        self.preview_about = label("", "caption")
         words = column(self.preview_name, self.preview_about, None, spacing=0, margins=(12, 10, 12, 8))
         self.look = action_button(self.actions, "look_at", self.binding, text="", kind="icon")
         words.addLayout(row(None, self.look))
@@ -146,7 +148,7 @@ class CollectionPlace:
         self.choose_button = button("Choose another exemplar…", icon="swap")
         self.choose_button.clicked.connect(self._press_choose)
         self.exemplar_section = section(
-            row(self.exemplar_title, self.typical), framed(row(self.preview), "preview"), self.choose_button
+            row(self.exemplar_title, None, self.typical), framed(row(self.preview), "preview"), self.choose_button
         )
         self.selection = SelectionSection(self.session, self.actions, self.binding)
         self.problems = ProblemList(self.session)

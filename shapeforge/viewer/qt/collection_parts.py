@@ -103,7 +103,7 @@ class CollectionStrip(QWidget):
             role = "caption_ok" if painted else "caption"
             state = "painted" if painted else "next" if name == upcoming else "to paint"
             picture = Picture((38, 38))
-            words = column(ElidedLabel(name, "strong"), label(state, role), spacing=0)
+            words = column(ElidedLabel(name, "strong", Qt.TextElideMode.ElideMiddle), label(state, role), spacing=0)
             about = f"{name}\nClick selects, double-click looks at it large."
             card = Clickable(row(picture, words, spacing=10, margins=(10, 3, 10, 3)), "card", tooltip=about)
             card.setFixedHeight(47)

@@ -51,6 +51,7 @@ class CorrespondencePlace:
         self.second: int | None = None
         self.hovered: int | None = None
         self.sort, self.count, self.colour_by = "high", 12, "spread"
+        self._sorted_by: int | None = None  # the point picked when the order was chosen: a pick moves no shape
         self.names: tuple[str, ...] = ()
         self.order: tuple[str, ...] = ()
         self.page = 0
@@ -160,7 +161,7 @@ class CorrespondencePlace:
             if self.session.picked is not None and self.session.picked >= self.box.n_points:
                 self.session.picked = None
             self.strip.reload()
-            self.page = 0
+            self.page, self._sorted_by = 0, None
             self._arrange()
             self._bring()
             self.show(fit=True)
@@ -169,10 +170,10 @@ class CorrespondencePlace:
 
     def _arrange(self) -> None:
         """Which shapes are shown, in which order."""
-        box, picked = self.box, self.session.picked
+        box = self.box
         names = [name for name in self.session.compare if name in box.names] or list(box.names)
         if self.sort in ("high", "low") and not box.unread:
-            names.sort(key=lambda name: box.confidence(name, picked), reverse=self.sort == "high")
+            names.sort(key=lambda name: box.confidence(name, self._sorted_by), reverse=self.sort == "high")
         elif self.sort in ("name", "high", "low"):
             names.sort()
         elif self.session.project.groups is not None:
@@ -318,7 +319,7 @@ class CorrespondencePlace:
         self.show()
 
     def _sort_chosen(self, value: str) -> None:
-        self.sort, self.page = value, 0
+        self.sort, self.page, self._sorted_by = value, 0, self.session.picked
         self.sorting.set_value(value)
         self._arrange()
         self.show()

@@ -329,6 +329,7 @@ class FitPlace:
     def _show_scrubber(self) -> None:
         pictures = self.pictures.of_rounds(self.record, self.session.shape)
         planned = rounds_planned(self.session, self.record)
+        self.scrubber.set_phase(self.record.family_after)
         self.scrubber.set_state(planned, self.record.newest, self.number(), pictures)
 
     def _show_run(self) -> None:

@@ -9,6 +9,7 @@ from PySide6.QtWidgets import QFrame, QWidget
 from shapeforge.viewer.fit_display import sureness
 from shapeforge.viewer.fit_record import WATCHED_AT_MOST, FitRecord
 from shapeforge.viewer.palette import as_hex, tokens
+from shapeforge.viewer.qt.fit_widgets import PHASES
 from shapeforge.viewer.qt.plots import Curves
 from shapeforge.viewer.qt.widgets import (
     ElidedLabel,
@@ -27,8 +28,10 @@ from shapeforge.viewer.qt.widgets import (
 from shapeforge.viewer.readiness import Verdict, planned_rounds
 from shapeforge.viewer.session import Session
 
-PHASES = ("exemplars", "family")
-ANOTHER_SUM = "From the line on, the family's own templates: another sum, not to be compared."
+ANOTHER_SUM = (
+    "From the line on the fit is by the family's own templates instead of the exemplars': "
+    "its energy is another sum, not to be compared with the one before."
+)
 """Why the curves begin anew there."""
 
 
@@ -69,8 +72,6 @@ class FitReport(QWidget):
         self.change = Curves(from_zero=True, height=58, numbered=False)
         self.sigma = Curves(from_zero=True, height=88)
         self.energy_text = label("", "caption", wrap=True)
-        self.phase_text = label(ANOTHER_SUM, "caption", wrap=True)
-        self.phase_text.setVisible(False)
         self.parts_title = ElidedLabel("Parts", "heading")
         self.part_list = column(spacing=0)
         energy = heading("Energy", "", label("nats per point", "caption"))
@@ -82,7 +83,6 @@ class FitReport(QWidget):
                 energy,
                 self.energy,
                 self.energy_text,
-                self.phase_text,
                 6,
                 change,
                 self.change,
@@ -120,10 +120,9 @@ class FitReport(QWidget):
             (numbers, [100 * float(rounds[n].sigma[part]) for n in numbers], inks[part]) for part in range(len(names))
         ]
         self.sigma.set_series(curves, of, at)
-        self.energy.setFixedHeight(72 if record.family_after is None else 86)
         for plot in (self.energy, self.change, self.sigma):
             plot.set_phase(record.family_after)
-        self.phase_text.setVisible(record.family_after is not None)
+            plot.setToolTip("" if record.family_after is None else ANOTHER_SUM)
 
     def _show_parts(self, record: FitRecord, session: Session) -> None:
         clear(self.part_list)
@@ -202,7 +201,7 @@ def energy_text(record: FitRecord, number: int) -> str:
         return "Of this round only the positions were recorded."
     parts = []
     if number - 1 == record.family_after:
-        parts.append(f"{now.energy:.3f} nats: the first round of the family.".replace("-", "−"))
+        parts.append(f"{now.energy:.3f} nats: the family's first round, another sum.".replace("-", "−"))
     elif before is not None and np.isfinite(before.energy):
         parts.append(f"This round {now.energy - before.energy:+.3f} nats.".replace("-", "−"))
     else:

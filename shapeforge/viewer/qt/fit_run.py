@@ -50,7 +50,7 @@ class CorrectionFoot(QWidget):
         elif changed:
             words = _changes(found)
         else:
-            words = "Paint what is wrong; then the fit is taken up from here." if finished else ""
+            words = "Paint what is wrong, then refit from here." if finished else ""
         self.words.setText(words)
         self.words.setVisible(bool(words))
 
@@ -141,7 +141,7 @@ class RunStrip(QWidget):
     def _phase(self, session: Session, mine: bool, finished: bool) -> str:
         progress = session.progress
         if mine and session.is_paused:
-            return "paused; what is done is kept"
+            return "what is done is kept"
         if mine and progress is None:
             return "starting…"
         if mine:

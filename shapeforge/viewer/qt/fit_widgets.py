@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QBoxLayout, QFrame, QWidget
 
 from shapeforge.viewer.fit_display import FULL_HEAT, TemplateLook, all_points, to_plane
 from shapeforge.viewer.fit_record import FitRecord, look_at, moved_text
-from shapeforge.viewer.palette import SWITCHED_OFF, as_hex, tokens
+from shapeforge.viewer.palette import SWITCHED_OFF, as_hex, rgb, tokens
 from shapeforge.viewer.qt.controls import Choice
 from shapeforge.viewer.qt.theme import PADDING, colours, font
 from shapeforge.viewer.qt.widgets import Swatch, clear, column, label, row
@@ -25,18 +25,25 @@ def draw_points(
     direction: tuple[float, ...],
     dot: int = 2,
 ) -> QImage:
-    """A picture (device pixels) of points (n, 3) with colours (n, 3), far ones first; NaN rows are left out."""
+    """A picture (device pixels) of points (n, 3) with colours (n, 3), far ones first; NaN rows are left out.
+
+    What is switched off has no say in how large the rest is, and is left out where there is no room for all of it.
+    """
     width, height = size
     picture = np.zeros((height, width, 4), np.uint8)
     there = np.isfinite(positions).all(axis=1)
     flat = to_plane(positions[there], direction)
     inks = colours_of_points[there]
     if len(flat):
-        low, high = flat[:, :2].min(axis=0), flat[:, :2].max(axis=0)
+        on = (inks != rgb(SWITCHED_OFF)).any(axis=1)
+        seen = flat[on if on.any() else ~on, :2]
+        low, high = seen.min(axis=0), seen.max(axis=0)
         room = np.array([width - dot - 4, height - dot - 4])
         scale = float((room / np.maximum(high - low, 1e-6)).min())
         at = (flat[:, :2] - (low + high) / 2) * scale + np.array([width, height]) / 2 - dot / 2
         order = np.argsort(flat[:, 2])
+        if on.any() and not ((at[~on] >= 0) & (at[~on] <= np.array([width, height]) - dot)).all():
+            order = order[on[order]]
         at, inks = np.round(at[order]).astype(int), inks[order]
         for dy in range(dot):
             for dx in range(dot):
@@ -47,6 +54,10 @@ def draw_points(
 
 
 LEGEND_AT_MOST = 12
+PHASES = ("exemplars", "family")
+"""What the rounds of a fit are called: those by the exemplars' templates, then those by the family's own."""
+LOOK_BACK = "Drag to look back at a recorded round; the newest is at the right"
+TWO_PHASES = "Up to round {} by the exemplars' templates, from round {} on by the family's own"
 
 
 def show_legend(box: QBoxLayout, looks: Sequence[TemplateLook], by: str, number: int) -> None:
@@ -135,21 +146,25 @@ class PointPicture(QWidget):
 
 
 class Scrubber(QWidget):
-    """The rounds 0..of on a line: recorded ones are filled and can be looked at; a little picture above some."""
+    """The rounds 0..of on a line: recorded ones are filled and can be looked at; a little picture above some.
+
+    Where the family's own templates begin (``set_phase``) a line stands between two rounds, as in the curves.
+    """
 
     moved = Signal(int)
 
     def __init__(self) -> None:
         super().__init__()
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        self.setMinimumSize(320, 92)
+        self.setMinimumSize(320, 96)
         self.of, self.recorded, self.at = 10, 0, 0
         self.share = 0.0
+        self._family_after: int | None = None
         self._pictures: dict[int, QImage] = {}
-        self.setToolTip("Drag to look back at a recorded round; the newest is at the right")
+        self.setToolTip(LOOK_BACK)
 
     def sizeHint(self) -> QSize:
-        return QSize(700, 92)
+        return QSize(700, 96)
 
     def set_state(self, of: int, recorded: int, at: int, pictures: dict[int, QImage]) -> None:
         """``recorded`` is the newest recorded round (-1: none), ``at`` the one looked at."""
@@ -161,6 +176,13 @@ class Scrubber(QWidget):
         """How much of the round under way is done (0..1)."""
         if share != self.share:
             self.share = share
+            self.update()
+
+    def set_phase(self, after: int | None) -> None:
+        """The rounds after the round ``after`` are the family's; None where there is but one phase."""
+        if after != self._family_after:
+            self._family_after = after
+            self.setToolTip(LOOK_BACK if after is None else f"{LOOK_BACK}\n{TWO_PHASES.format(after, after + 1)}")
             self.update()
 
     def x_of(self, number: float | int) -> float:
@@ -193,7 +215,7 @@ class Scrubber(QWidget):
         look = tokens(self.window().property("theme") or "dark")
         painter = QPainter(self)
         painter.setRenderHints(QPainter.RenderHint.Antialiasing | QPainter.RenderHint.SmoothPixmapTransform)
-        y = 60.0
+        y = 66.0
         accent, rest = QColor(look["accent"]), QColor(look["separator_strong"])
         painter.setPen(QPen(rest, 4, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))
         painter.drawLine(QPointF(self.x_of(0), y), QPointF(self.x_of(self.of), y))
@@ -203,6 +225,8 @@ class Scrubber(QWidget):
             painter.drawLine(QPointF(self.x_of(0), y), QPointF(self.x_of(done), y))
         step = (self.width() - 52) / self.of
         every = max(1, int(np.ceil(26 / step)))
+        if self._family_after is not None:
+            self._draw_phase(painter, y)
         last_picture = -1e9
         for number in range(self.of + 1):
             x = self.x_of(number)
@@ -217,12 +241,28 @@ class Scrubber(QWidget):
                 painter.drawText(QRectF(x - 16, y + 9, 32, 16), Qt.AlignmentFlag.AlignCenter, str(number))
             picture = self._pictures.get(number)
             if picture is not None and x - last_picture >= 40:
-                painter.drawImage(QRectF(x - 19, 10, 38, 40), picture)
+                painter.drawImage(QRectF(x - 19, 17, 38, 40), picture)
                 last_picture = x
         if self.hasFocus():
             painter.setPen(QPen(QColor(look["accent"]), 1))
             painter.setBrush(Qt.BrushStyle.NoBrush)
             painter.drawRoundedRect(QRectF(self.rect()).adjusted(0.5, 0.5, -0.5, -0.5), 5, 5)
+
+    def _draw_phase(self, painter: QPainter, y: float) -> None:
+        """A line where the family's rounds begin, and what the rounds on either side of it are called."""
+        look = tokens(self.window().property("theme") or "dark")
+        x = round(self.x_of(self._family_after + 0.5)) + 0.5
+        painter.setPen(QPen(QColor(look["separator_strong"]), 1))
+        painter.drawLine(QPointF(x, 3), QPointF(x, y - 4))
+        painter.drawLine(QPointF(x, y + 4), QPointF(x, y + 12))
+        painter.setFont(font(11))
+        painter.setPen(QColor(look["text_2"]))
+        middle, (before, after) = Qt.AlignmentFlag.AlignVCenter, PHASES
+        wide = painter.fontMetrics().horizontalAdvance
+        if wide(before) <= x - 6:
+            painter.drawText(QRectF(0, 1, x - 6, 14), Qt.AlignmentFlag.AlignRight | middle, before)
+        left = min(x + 6, self.width() - wide(after))
+        painter.drawText(QRectF(left, 1, wide(after) + 1, 14), Qt.AlignmentFlag.AlignLeft | middle, after)
 
 
 class AlsoWatching(QFrame):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from PySide6.QtCore import QModelIndex, QObject, QPersistentModelIndex, QPoint, QSize, Qt, Signal
-from PySide6.QtGui import QIcon, QPainter
+from PySide6.QtGui import QColor, QIcon, QPainter
 from PySide6.QtWidgets import (
     QAbstractItemView,
     QDialog,
@@ -22,13 +22,13 @@ from PySide6.QtWidgets import (
 
 from shapeforge.viewer.import_preview import (
     FilePreview,
-    FolderUnit,
-    folder_unit,
-    other_unit_words,
+    Usual,
+    doubts,
     previews,
     size_words,
     summary,
     upright_mesh,
+    usual,
 )
 from shapeforge.viewer.palette import tokens
 from shapeforge.viewer.pictures import mesh_view, take_picture
@@ -87,7 +87,7 @@ class ImportDialog(QDialog):
         self.resize(960, 560)
         self.session, self.go, self.paths = session, go, paths
         self.seen: list[FilePreview] = []
-        self.folder = FolderUnit()
+        self.among = Usual()
         known = session.project if session.project is not None and session.project.names else None
         record = (known.stage_record("import") or {}) if known is not None else {}
         self.up = record.get("options", {}).get("up", "auto")
@@ -145,11 +145,12 @@ class ImportDialog(QDialog):
             return
         for one in news.states:
             self._add(one)
-        folder = folder_unit(self.seen)
-        if news.outcome is not None or folder.unit != self.folder.unit:
-            self.folder = folder
+        among = usual(self.seen)
+        if news.outcome is not None or (among.unit, among.up) != (self.among.unit, self.among.up):
+            self.among = among
             self._fill_all()
         if news.outcome is not None:
+            self._put_doubtful_first()
             self.done_reading = True
             self.failed = sentence(news.error) if news.error is not None else ""
         self._show_count()
@@ -191,19 +192,32 @@ class ImportDialog(QDialog):
 
     def _fill(self, line: int) -> None:
         """Size and remarks of a file, as they are beside those of the others."""
-        one, remark = self.seen[line], self.table.item(line, 3)
-        other = "" if one.problem else other_unit_words(one, self.folder)
-        sign = "error" if one.problem else "warning" if one.is_doubtful or other else "ok"
+        one, remark, look = self.seen[line], self.table.item(line, 3), tokens(self.session.theme)
+        odd = doubts(one, self.among, self.up)
+        sign = "error" if one.problem else "warning" if odd else "ok"
         drawn = {"error": "error", "warning": "warning", "ok": "check"}[sign]
-        remark.setIcon(QIcon(icons.pixmap(drawn, tokens(self.session.theme)[sign], 16, 1.0)))
+        remark.setIcon(QIcon(icons.pixmap(drawn, look[sign], 16, 1.0)))
         if not one.problem:
-            remark.setText(self._remark(one))
-            remark.setToolTip("\n".join(words for words in (other, one.up, *one.notes) if words))
-            self.table.item(line, 2).setText(size_words(one, self.folder))
+            up = one.up if self.up == "auto" else "as in the file" if self.up == "keep" else f"{self.up} is up"
+            said = odd if any(words.startswith(up) for words in odd) else (*odd, up)
+            remark.setText(" · ".join(said))
+            remark.setToolTip("\n".join(said))
+            unlike = any(words not in one.notes for words in odd)
+            remark.setForeground(QColor(look["warning" if unlike else "text"]))
+            self.table.item(line, 2).setText(size_words(one, self.among))
 
-    def _remark(self, one: FilePreview) -> str:
-        up = one.up if self.up == "auto" else "as in the file" if self.up == "keep" else f"{self.up} is up"
-        return " · ".join(words for words in (other_unit_words(one, self.folder), up, *one.notes) if words)
+    def _put_doubtful_first(self) -> None:
+        """What cannot be read, then what needs a look, then the rest, each in the order of the names; ticks stay."""
+        rank = [0 if one.problem else 1 if doubts(one, self.among, self.up) else 2 for one in self.seen]
+        order = sorted(range(len(self.seen)), key=lambda line: (rank[line], line))
+        self.table.blockSignals(True)
+        self.table.clearSelection()
+        taken = [[self.table.takeItem(line, number) for number in range(len(HEADINGS))] for line in order]
+        for line, cells in enumerate(taken):
+            for number, cell in enumerate(cells):
+                self.table.setItem(line, number, cell)
+        self.table.blockSignals(False)
+        self.seen = [self.seen[line] for line in order]
 
     def _picture_of(self, one: FilePreview):
         up, theme = self.up, self.session.theme
@@ -230,6 +244,7 @@ class ImportDialog(QDialog):
         self.up = up
         self._fill_all()
         self._show_pictures()
+        self._show_count()
 
     def ticked(self) -> tuple[Path, ...]:
         """The files that will be imported."""
@@ -246,7 +261,7 @@ class ImportDialog(QDialog):
             self.title.setText(
                 "Nothing to import" if not any(not one.problem for one in self.seen) else "Import shapes"
             )
-        self.said.setText(self.failed or (summary(self.seen) if self.seen else ""))
+        self.said.setText(self.failed or (summary(self.seen, self.up) if self.seen else ""))
         self.start.setText(f"Import {count} shape{'s' * (count != 1)}" if count else "Import")
         can = self.done_reading and count > 0
         self.start.setEnabled(can)

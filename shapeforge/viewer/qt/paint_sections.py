@@ -10,7 +10,7 @@ from shapeforge.viewer.actions import Actions, next_to_paint
 from shapeforge.viewer.painter import BRUSH_LIMITS, Painter
 from shapeforge.viewer.qt.bind import Binding, action_button, keep_enabled
 from shapeforge.viewer.qt.controls import Segments, Switch
-from shapeforge.viewer.qt.widgets import button, column, heading, icon_label, label, row, section
+from shapeforge.viewer.qt.widgets import button, column, heading, icon_label, label, row, section, shortened
 from shapeforge.viewer.readiness import starts_from_proposal
 from shapeforge.viewer.session import Session
 
@@ -126,7 +126,8 @@ class NextSection(QFrame):
         self.fit_icon.setVisible(not can)
         following = None if proposed else next_to_paint(self.session)
         self.go_exemplar.setVisible(following is not None and following != present)
-        self.go_exemplar.setText(f"Paint {following}")
+        self.go_exemplar.setText(f"Paint {shortened(following or '')}")
+        self.go_exemplar.setToolTip(f"Go to {following}, the next exemplar without paint" if following else "")
 
 
 def _named(name: str, *widgets: QWidget | None) -> QBoxLayout:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from shapeforge.viewer.actions import YES, unpainted_exemplars
 from shapeforge.viewer.painter import Painter
 from shapeforge.viewer.qt.paint_parts import percent
+from shapeforge.viewer.qt.widgets import shortened
 from shapeforge.viewer.readiness import Verdict, groups_of, starts_from_proposal
 from shapeforge.viewer.session import Session
 
 
 def how_to_use(session: Session, names: tuple[str, ...], completing: bool) -> str:
     """How the tool in hand works on the parts called ``names``; ``completing``: scribbles are being filled in."""
-    part = names[session.part] if session.part < len(names) else "the first part"
+    part = shortened(names[session.part], 18) if session.part < len(names) else "the first part"
     stop = "the creases" if session.fill_to == "creases" else "the edge of its patch"
     depth = "seen only" if session.reach == "surface" else "through and through"
     return {
@@ -43,12 +44,14 @@ def has_paint(painter: Painter) -> bool:
 
 def can_fit(session: Session, painter: Painter) -> Verdict:
     """Whether the family can be fitted with what is painted and, when not, why not."""
+    if session.project is None:
+        return False, "Open a project first."
     if starts_from_proposal(session):
         return YES if not session.running else (False, f"Wait until {session.stage or 'the stage'} is done.")
     left = [name for name in unpainted_exemplars(session) if name != painter.name or not has_paint(painter)]
     if left:
         few = len(left) == 1
-        what, them = (left[0], "it") if few else (f"{len(left)} exemplars", "them")
+        what, them = (shortened(left[0]), "it") if few else (f"{len(left)} exemplars", "them")
         ways = [f"Paint {them}"]
         if not session.project.labelled and not has_paint(painter):
             ways.append("let parts be proposed")

@@ -108,13 +108,14 @@ class Curves(QWidget):
             there = np.flatnonzero(np.isfinite(y))
             if not len(there):
                 continue
-            painter.setPen(QPen(QColor(colour), 1.6))
-            painter.setBrush(Qt.BrushStyle.NoBrush)
             for run in split_at(x, there, self._divider):
                 points = [place(float(x[i]), float(y[i])) for i in run]
+                painter.setPen(QPen(QColor(colour), 1.6))
+                painter.setBrush(QColor(colour) if len(points) == 1 else Qt.BrushStyle.NoBrush)
                 if len(points) == 1:  # a line has two ends
-                    points.append(points[0] + QPointF(0.1, 0))
-                painter.drawPolyline(QPolygonF(points))
+                    painter.drawEllipse(points[0], 1.6, 1.6)
+                else:
+                    painter.drawPolyline(QPolygonF(points))
             marked = there[-1] if self._at is None else there[np.abs(x[there] - self._at).argmin()]
             painter.setPen(Qt.PenStyle.NoPen)
             painter.setBrush(QColor(colour))

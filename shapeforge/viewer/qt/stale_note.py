@@ -25,9 +25,9 @@ def stale_note(actions: Actions, binding: Binding, stage: str, then: str, text: 
 
     go.clicked.connect(lambda: actions.run(offered()))
     keep_enabled(go, actions, then, binding)
-    words = column(label("Out of date", "heading"), why, 2, row(go, None), spacing=2)
-    sign = column(icon_label("warning", "warning"), None)
-    note = framed(row(sign, words, margins=(12, 10, 12, 10)), "note")
+    words = column(row(label("Out of date", "heading"), None, go), why, spacing=2)
+    sign = column(6, icon_label("warning", "warning"), None)  # beside the words: the button is higher than they
+    note = framed(row(sign, words, margins=(12, 4, 12, 10)), "note")
     holder = framed(column(note, margins=(16, 12, 16, 0)), "stale")
     session = actions.session
 

@@ -84,6 +84,8 @@ class SynthesizePlace:
         self.centre.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.between_button = action_button(self.actions, "between", self.binding)
         self.between_button.setCheckable(True)
+        self.gallery_button = action_button(self.actions, "gallery", self.binding)
+        self.gallery_button.setCheckable(True)
         self.from_button = action_button(self.actions, "from_shape", self.binding)
         self.shown_as = Segments((("mesh", "Mesh", ""), ("points", "Points", "")), "mesh")
         self.shown_as.chosen.connect(lambda _value: self._show())
@@ -93,7 +95,7 @@ class SynthesizePlace:
                 action_button(self.actions, "random_shape", self.binding),
                 self.from_button,
                 self.between_button,
-                action_button(self.actions, "gallery", self.binding),
+                self.gallery_button,
                 None,
                 self.shown_as,
                 action_button(self.actions, "spin", self.binding, text="", kind="tool"),
@@ -125,7 +127,8 @@ class SynthesizePlace:
         self._entered = True
         self._old_history = self.session.history
         if self.worker is None:
-            self.worker = MeshWorker(self.session, self.sculptor.nearest, self._mail.arrived.emit)
+            arrived = self._mail.arrived.emit
+            self.worker = MeshWorker(self.session, self.sculptor.nearest, arrived, self.sculptor.prepare)
         self._reload()
         if self.sculptor.has_machine:
             self.session.history = self.sculptor

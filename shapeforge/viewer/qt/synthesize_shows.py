@@ -196,6 +196,7 @@ class Shows:
         place = self.place
         place.view.setVisible(not on)
         self.gallery.setVisible(on)
+        place.gallery_button.setChecked(on)
         if not on:
             place.worker.ask_besides([])
             place.centre.setFocus()
