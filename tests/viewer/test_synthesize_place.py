@@ -26,7 +26,7 @@ def test_what_pulling_needs_is_found_while_nobody_waits_for_a_mesh(place, qtbot,
     found, mirror = [], place.sculptor.mirror
     monkeypatch.setattr(type(mirror), "__call__", lambda self: found.append(threading.current_thread().name) or 1)
     wait_for_mesh(place, qtbot)
-    place.actions.run("random")
+    place.actions.run("random_shape")
     wait_for_mesh(place, qtbot)
     qtbot.waitUntil(lambda: bool(found), timeout=LONG)
     assert set(found) == {"meshes"}
