@@ -22,8 +22,8 @@ from shapeforge.deformation.updates import find_candidates, make_problem, update
 
 NEIGHBOURHOOD = 0.05
 """Diagonals: template points this near (one standard deviation) to the picked one count as the same place."""
-MOST_BITS = 4.0
-"""Entropy shown as the hottest colour: some 16 template points as likely as each other."""
+MOST_SHARE = 0.01
+"""Of a template's points: where so many are as likely as each other, entropy has its hottest colour."""
 SAMPLES_PER_VERTEX = 3
 
 
@@ -41,6 +41,11 @@ class Fuzzy:
     bits: Float[np.ndarray, " P"]
     near: Int[np.ndarray, "V 3"]
     share: Float[np.ndarray, "V 3"]
+
+    @property
+    def unsure(self) -> Float[np.ndarray, " P"]:
+        """Entropy of each sample (P,): 1 where a hundredth of the template is as likely, however dense that is."""
+        return self.bits / max(1.0, float(np.log2(MOST_SHARE * self.q[self.template].shape[1])))
 
     def at_vertices(self, values: Float[np.ndarray, " P"]) -> Float[np.ndarray, " V"]:
         """Values of the samples (P,) at the vertices that are shown (V,)."""

@@ -31,7 +31,7 @@ from shapeforge.viewer.display import (
 )
 from shapeforge.viewer.fine_mesh import fine_mesh
 from shapeforge.viewer.fit_display import turned
-from shapeforge.viewer.fuzzy import MOST_BITS, Fuzzy, fuzzy_correspondence, part_bits, where_it_may_lie
+from shapeforge.viewer.fuzzy import Fuzzy, fuzzy_correspondence, part_bits, where_it_may_lie
 from shapeforge.viewer.palette import Theme, heat, rgb, tokens
 from shapeforge.viewer.session import Session
 
@@ -340,7 +340,7 @@ class Lightbox:
         if colour_by == "coordinate":
             colours = self.coordinate[shape.nearest]
         elif fuzzy is not None and colour_by == "entropy":
-            colours = heat(fuzzy.at_vertices(fuzzy.bits) / MOST_BITS)
+            colours = heat(fuzzy.at_vertices(fuzzy.unsure))
         elif fuzzy is not None and picked is not None and shape.existence[picked]:
             share = fuzzy.at_vertices(where_it_may_lie(fuzzy, self._hierarchy, self._shared[0], picked))
             warm = share >= 0.02

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtWidgets import QFrame, QLabel, QPushButton, QWidget
+from scipy.sparse import csr_matrix
 
 from shapeforge.store import Project
 from shapeforge.viewer.fine_mesh import fine_mesh
-from shapeforge.viewer.fuzzy import MOST_BITS, fuzzy_correspondence, part_bits, where_it_may_lie
+from shapeforge.viewer.fuzzy import Fuzzy, fuzzy_correspondence, part_bits, where_it_may_lie
 from shapeforge.viewer.lightbox import CLOSE, FARTHEST, Lightbox, confidence_of, describe_point
 from shapeforge.viewer.palette import heat, part_colours
 from shapeforge.viewer.qt.overlay import whole_percent
@@ -324,6 +325,15 @@ def test_the_fuzzy_correspondence_is_the_fits_own(fitted):
     assert nearest[share.argmax()] < 0.1 < nearest[share < 0.01].max()
 
 
+@pytest.mark.parametrize("number", [400, 5000])
+def test_places_that_may_be_a_hundredth_of_the_template_are_the_hottest_however_dense_it_is(number):
+    alike = np.tile(np.arange(number) < number // 100, (2, 1)) / (number // 100)
+    nowhere = np.zeros((0, 3))
+    bits = -(alike * np.log2(np.maximum(alike, 1e-300))).sum(axis=1)
+    fuzzy = Fuzzy({0: csr_matrix(alike)}, {}, 0, bits, nowhere.astype(int), nowhere)
+    np.testing.assert_allclose(fuzzy.unsure, 1.0)
+
+
 def test_entropy_of_parts_is_one_bit_for_a_coin_toss():
     np.testing.assert_allclose(
         part_bits(np.array([[0.5, 0.5, 0], [1, 0, 0], [0.25, 0.25, 0.5]])), [1, 0, 1.5], atol=1e-9
@@ -334,8 +344,8 @@ def test_colours_by_uncertainty_are_the_entropy_and_say_so(lightbox, qtbot):
     lightbox._colour_chosen("entropy")
     name, layer = lightbox.names[0], lightbox.view.shown.views[0].layers[0]
     fuzzy = lightbox.box.fuzzy(name)
-    assert np.array_equal(layer.colours, heat(fuzzy.at_vertices(fuzzy.bits) / MOST_BITS))
-    assert lightbox.inspector.legend[1].text() == "bits"
+    assert np.array_equal(layer.colours, heat(fuzzy.at_vertices(fuzzy.unsure)))
+    assert lightbox.inspector.legend[1].text() == "entropy"
     lightbox._colour_chosen("part_entropy")
     shape, layer = lightbox.box.shape(name), lightbox.view.shown.views[0].layers[0]
     bits = part_bits(lightbox.session.project.face_probabilities(name))

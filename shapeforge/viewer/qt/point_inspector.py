@@ -8,7 +8,7 @@ from PySide6.QtGui import QColor, QPainter, QPen
 from PySide6.QtWidgets import QBoxLayout, QFrame, QWidget
 
 from shapeforge.viewer.actions import Actions
-from shapeforge.viewer.fuzzy import MOST_BITS
+from shapeforge.viewer.fuzzy import MOST_SHARE
 from shapeforge.viewer.lightbox import FARTHEST, FULL_PART_BITS, Lightbox
 from shapeforge.viewer.palette import tokens
 from shapeforge.viewer.qt.bars import HeatRamp, Histogram
@@ -22,8 +22,8 @@ from shapeforge.viewer.session import Session
 LEGENDS: dict[str, tuple[str, tuple[str, str, str], str]] = {
     "spread": ("How sure is the point", ("not here", "chance of the point", "surely here"), ""),
     "entropy": (
-        "How sure is each place", ("sure", "bits", f"{MOST_BITS:g} or more"),
-        f"Entropy of which template point a place is: at {MOST_BITS:g} bits some {2**MOST_BITS:.0f} are as likely.",
+        "How sure is each place", ("one point", "entropy", f"{100 * MOST_SHARE:g}% of them"),
+        f"Entropy of which template point a place is, up to where {100 * MOST_SHARE:g}% of them are as likely.",
     ),
     "part_entropy": (
         "How sure is the part", ("sure", "bits", f"{FULL_PART_BITS:g} or more"),
