@@ -22,8 +22,8 @@ from shapeforge.viewer.session import Session
 LEGENDS: dict[str, tuple[str, tuple[str, str, str], str]] = {
     "spread": ("How sure is the point", ("not here", "chance of the point", "surely here"), ""),
     "entropy": (
-        "How sure is each place", ("one point", "entropy", f"{100 * MOST_SHARE:g}% of them"),
-        f"Entropy of which template point a place is, up to where {100 * MOST_SHARE:g}% of them are as likely.",
+        "How sure is each place", ("one point", "entropy", f"{100 * MOST_SHARE:g}% of points"),
+        f"Entropy of which template point a place is, up to where {100 * MOST_SHARE:g}% of all are as likely.",
     ),
     "part_entropy": (
         "How sure is the part", ("sure", "bits", f"{FULL_PART_BITS:g} or more"),
