@@ -1,0 +1,99 @@
+"""Levels between the top and the groups: a group's part is linked over templates that are nearer to it (§4).
+
+Of many groups some are so unlike the top that a registration goes astray, while others lie in between: the paper's
+further levels.  That a registration went astray is seen without any truth: points that go to another group's template
+and come back should be where they were (cycle consistency, as in Nguyen et al. 2011, "An optimization approach to
+improving collections of shape maps").  Errors of registrations that follow each other add like variances, so a group
+hangs from that before it on the path from the top with the least sum of squared round trips; but from the top itself
+where the round trip to the top is as exact as the points are dense, or would be no shorter over the path.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from shapeforge.collection.align import affine_align
+from shapeforge.collection.points import nearest_points
+from shapeforge.deformation.registration import LEAST_POINTS, Registrations, carried
+
+FEWEST_GROUPS = 6
+"""Groups that have a part from which on there may be levels between them and the top: of fewer none is in between."""
+
+NEAREST = 5
+"""Templates of a part, the nearest by what an affine map leaves, over which each may be linked."""
+
+PART_SAMPLE = 300
+"""Points of either side by which nearness is told."""
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """One part of one group, the top, on the others: ``places[g]`` of its points (k, 3) on the template of group g,
+    and the group ``over[g]`` between them, where there is one."""
+
+    places: dict[int, np.ndarray]
+    over: dict[int, int]
+
+
+def link_part(registrations: Registrations, top: int, part: int) -> Levels:
+    """Link a part of the group ``top`` to every other group that has it: directly, or over others."""
+    owners = [int(g) for g in np.flatnonzero(registrations.has[:, part]) if g != top]
+    places = {g: registrations.of_part(top, g, part) for g in owners}
+    large = [g for g in (top, *owners) if registrations.part(g, part).n_points >= LEAST_POINTS]
+    if top not in large or len(large) < FEWEST_GROUPS:
+        return Levels(places, {})
+    back = {g: registrations.of_part(g, top, part) for g in large if g != top}
+    own, over = registrations.part(top, part).points, {}
+    exact = nearest_points(own, own, 2)[1].max(axis=1).mean()
+
+    def trip(g: int, there: np.ndarray, again: np.ndarray) -> float:
+        return _round_trip(own, there, registrations.part(g, part).points, again)
+
+    astray = [g for g in back if trip(g, places[g], back[g]) > exact]
+    for g, before in _paths(registrations, part, large, top) if astray else ():
+        if g not in astray or before == top:
+            continue
+        middle = registrations.part(before, part).points
+        there = carried(places[before], middle, registrations.of_part(before, g, part))
+        there = registrations.onward(top, g, part, there)
+        again = carried(registrations.of_part(g, before, part), middle, back[before])
+        again = registrations.onward(g, top, part, again)
+        if trip(g, there, again) < trip(g, places[g], back[g]):
+            places[g], back[g], over[g] = there, again, before
+    return Levels(places, over)
+
+
+def _paths(registrations: Registrations, part: int, groups: list[int], top: int) -> list[tuple[int, int]]:
+    """Each group but the top, with the one before it on the path from the top; the latter come first."""
+    number, near = len(groups), min(NEAREST, len(groups) - 1)
+    residual = np.full((number, number), np.inf)
+    for i, a in enumerate(groups):
+        for j, b in enumerate(groups[:i]):
+            mine, theirs = registrations.part(a, part).points, registrations.part(b, part).points
+            residual[i, j] = residual[j, i] = affine_align(mine, theirs, n_points=PART_SAMPLE).residual
+    joined = residual <= np.sort(residual, axis=1)[:, near - 1, None]
+    joined |= joined.T
+    start = groups.index(top)
+    joined[start], joined[:, start] = True, True
+    cost = np.zeros((number, number))
+    for i, j in np.argwhere(np.triu(joined, 1)):
+        cost[i, j] = cost[j, i] = max(_trip(registrations, part, groups[i], groups[j]) ** 2, 1e-12)
+    total, before = dijkstra(csr_array(cost), indices=start, return_predecessors=True)
+    return [(groups[i], groups[before[i]]) for i in np.argsort(total, kind="stable") if i != start]
+
+
+def _trip(registrations: Registrations, part: int, a: int, b: int) -> float:
+    """Round trip between two groups' templates of a part, the mean of both directions (diagonals)."""
+    there, back = registrations.of_part(a, b, part), registrations.of_part(b, a, part)
+    on_a, on_b = registrations.part(a, part).points, registrations.part(b, part).points
+    return 0.5 * (_round_trip(on_a, there, on_b, back) + _round_trip(on_b, back, on_a, there))
+
+
+def _round_trip(points: np.ndarray, there: np.ndarray, others: np.ndarray, back: np.ndarray) -> float:
+    """Mean distance (diagonals) of ``points`` (n, 3), sent ``there`` (n, 3), from where ``others`` (m, 3), sent
+    ``back`` (m, 3), take them."""
+    return float(np.linalg.norm(carried(there, others, back) - points, axis=1).mean())
