@@ -5,7 +5,7 @@ further levels.  That a registration went astray is seen without any truth: poin
 and come back should be where they were (cycle consistency, as in Nguyen et al. 2011, "An optimization approach to
 improving collections of shape maps").  Errors of registrations that follow each other add like variances, so a group
 hangs from that before it on the path from the top with the least sum of squared round trips; but from the top itself
-where the round trip to the top is as exact as the points are dense, or would be no shorter over the path.
+where the round trip to the top is as exact as the points are dense, or would not be clearly shorter over the path.
 """
 
 from __future__ import annotations
@@ -25,6 +25,9 @@ FEWEST_GROUPS = 6
 
 NEAREST = 5
 """Templates of a part, the nearest by what an affine map leaves, over which each may be linked."""
+
+SHORTER = 0.9
+"""Share of its direct round trip to the top that a group's round trip over another must stay below."""
 
 PART_SAMPLE = 300
 """Points of either side by which nearness is told."""
@@ -51,7 +54,7 @@ def link_part(registrations: Registrations, top: int, part: int) -> Levels:
     exact = nearest_points(own, own, 2)[1].max(axis=1).mean()
 
     def trip(g: int, there: np.ndarray, again: np.ndarray) -> float:
-        return _round_trip(own, there, registrations.part(g, part).points, again)
+        return _round_trips(own, there, registrations.part(g, part).points, again)
 
     astray = [g for g in back if trip(g, places[g], back[g]) > exact]
     for g, before in _paths(registrations, part, large, top) if astray else ():
@@ -62,7 +65,7 @@ def link_part(registrations: Registrations, top: int, part: int) -> Levels:
         there = registrations.onward(top, g, part, there)
         again = carried(registrations.of_part(g, before, part), middle, back[before])
         again = registrations.onward(g, top, part, again)
-        if trip(g, there, again) < trip(g, places[g], back[g]):
+        if trip(g, there, again) < SHORTER * trip(g, places[g], back[g]):
             places[g], back[g], over[g] = there, again, before
     return Levels(places, over)
 
@@ -81,19 +84,18 @@ def _paths(registrations: Registrations, part: int, groups: list[int], top: int)
     joined[start], joined[:, start] = True, True
     cost = np.zeros((number, number))
     for i, j in np.argwhere(np.triu(joined, 1)):
-        cost[i, j] = cost[j, i] = max(_trip(registrations, part, groups[i], groups[j]) ** 2, 1e-12)
+        a, b = groups[i], groups[j]
+        on_a, on_b = registrations.part(a, part).points, registrations.part(b, part).points
+        trip = _round_trips(on_a, registrations.of_part(a, b, part), on_b, registrations.of_part(b, a, part))
+        cost[i, j] = cost[j, i] = max(trip**2, 1e-12)
     total, before = dijkstra(csr_array(cost), indices=start, return_predecessors=True)
     return [(groups[i], groups[before[i]]) for i in np.argsort(total, kind="stable") if i != start]
 
 
-def _trip(registrations: Registrations, part: int, a: int, b: int) -> float:
-    """Round trip between two groups' templates of a part, the mean of both directions (diagonals)."""
-    there, back = registrations.of_part(a, b, part), registrations.of_part(b, a, part)
-    on_a, on_b = registrations.part(a, part).points, registrations.part(b, part).points
-    return 0.5 * (_round_trip(on_a, there, on_b, back) + _round_trip(on_b, back, on_a, there))
-
-
-def _round_trip(points: np.ndarray, there: np.ndarray, others: np.ndarray, back: np.ndarray) -> float:
-    """Mean distance (diagonals) of ``points`` (n, 3), sent ``there`` (n, 3), from where ``others`` (m, 3), sent
-    ``back`` (m, 3), take them."""
-    return float(np.linalg.norm(carried(there, others, back) - points, axis=1).mean())
+def _round_trips(a: np.ndarray, on_b: np.ndarray, b: np.ndarray, on_a: np.ndarray) -> float:
+    """Mean distance (diagonals) from where they were of points a (n, 3) that lie at ``on_b`` (n, 3) on template b, and
+    go back as b (m, 3) goes to ``on_a`` (m, 3), and of points b likewise."""
+    return 0.5 * float(
+        np.linalg.norm(carried(on_b, b, on_a) - a, axis=1).mean()
+        + np.linalg.norm(carried(on_a, a, on_b) - b, axis=1).mean()
+    )

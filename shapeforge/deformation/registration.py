@@ -83,7 +83,7 @@ class Registrations:
         """``source``'s points (k, 3) of a part, settled on ``target``'s from ``places`` that are near already."""
         mine, theirs = self.part(source, part), self.part(target, part)
         sigmas = np.geomspace(GOING_ON, SHARP, GOING_ON_ROUNDS)
-        return _settled(mine, theirs, places, _affine_map(mine.points, places), sigmas)
+        return _settled(mine, theirs, places, affine_map(mine.points, places), sigmas)
 
 
 def gap(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "m 3"]) -> float:
@@ -138,7 +138,7 @@ def _settled(
     return beliefs.deformed
 
 
-def _affine_map(points: np.ndarray, places: np.ndarray) -> Alignment:
+def affine_map(points: np.ndarray, places: np.ndarray) -> Alignment:
     """The affine map of ``points`` (n, 3) to ``places`` (n, 3) by least squares, with a ridge towards none."""
     mean, onto = points.mean(axis=0), places.mean(axis=0)
     centred, there = points - mean, places - onto
