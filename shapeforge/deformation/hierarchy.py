@@ -2,7 +2,7 @@
 
 The same model, with the groups' learnt templates as its input "shapes" and their labels as evidence.  Each label is
 started from several groups' templates in turn, and the start that explains the other groups best is kept; a part that
-one group alone has moves up unchanged.
+one group alone has moves up unchanged.  Of many groups some may be linked over others (see ``levels``).
 """
 
 from __future__ import annotations
