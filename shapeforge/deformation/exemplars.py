@@ -131,29 +131,34 @@ def best_of(candidates: Sequence[Candidate]) -> Candidate:
 def lenders(candidates: Sequence[Candidate]) -> dict[int, int]:
     """Parts that the best candidate lacks, and which candidate brings each: its index.
 
-    A part is lent when the shape believes enough of what the lender says of it, and unless both opinions together doubt
+    A part is lent when the shape believes enough of what the lender says of it, and unless all opinions together doubt
     that it exists, as an exemplar's own part is doubted: one whose template does not know the part has none, one that
-    switched it off speaks against it.
+    switched it off speaks against it.  The family's templates know every part of every exemplar: what they lend must be
+    as likely there as not.
     """
-    best = best_of(candidates).beliefs
+    best = best_of(candidates)
     said = [
         voice @ candidate.beliefs.segmentation for voice, candidate in zip(voices(candidates), candidates, strict=True)
     ]
     found = {}
-    for part in np.flatnonzero(~best.active).tolist():
+    for part in np.flatnonzero(~best.beliefs.active).tolist():
         lender = max(range(len(candidates)), key=lambda i: said[i][part])
         theirs = candidates[lender].beliefs
+        others = [one for one in candidates if one is not best and one is not candidates[lender]]
         own = theirs.segmentation[:, part].sum(dtype=np.float64)
-        odds = _together(theirs, best)[part]
-        if theirs.active[part] and said[lender][part] > LENT * own and not odds < DOUBT:
+        odds = _together((candidates[lender], best), others)[part]
+        least = BROUGHT_ODDS if candidates[lender].family else DOUBT
+        if theirs.active[part] and said[lender][part] > LENT * own and not odds < least:
             found[part] = lender
     return found
 
 
-def _together(one: Beliefs, other: Beliefs) -> Float[np.ndarray, " L"]:
-    """Log odds (L,) of the parts by both opinions; who was not asked has none, NaN where neither was."""
-    said = np.maximum(np.stack([one.misfit, other.misfit]), NOWHERE)  # NaN stays
-    return np.where(np.isnan(said).all(axis=0), np.nan, np.nansum(said, axis=0))
+def _together(heard: Sequence[Candidate], others: Sequence[Candidate] = ()) -> Float[np.ndarray, " L"]:
+    """Log odds (L,) of the parts by the opinions ``heard``, and by ``others`` as far as their weight goes; who was not
+    asked has none, NaN where nobody was."""
+    said = np.stack([np.maximum(one.beliefs.misfit, NOWHERE) for one in (*heard, *others)])  # NaN stays
+    worth = np.array([1.0] * len(heard) + [one.weight for one in others])
+    return np.where(np.isnan(said).all(axis=0), np.nan, np.nansum(said * worth[:, None], axis=0))
 
 
 def believed_parts(candidates: Sequence[Candidate]) -> Bool[np.ndarray, " L"]:
@@ -166,9 +171,9 @@ def believed_parts(candidates: Sequence[Candidate]) -> Bool[np.ndarray, " L"]:
     parts = best.beliefs.active.copy()
     exemplars = [candidate for candidate in candidates if not candidate.family]
     if best.family and exemplars:
-        lacking = best_of(exemplars).beliefs
-        odds = _together(best.beliefs, lacking)
-        parts &= lacking.active | ~(odds < BROUGHT_ODDS) | np.isin(np.arange(len(parts)), best.beliefs.evidence)
+        lacking = best_of(exemplars)
+        odds = _together((best, lacking))
+        parts &= lacking.beliefs.active | ~(odds < BROUGHT_ODDS) | np.isin(np.arange(len(parts)), best.beliefs.evidence)
         if not parts.any():
             parts = best.beliefs.active.copy()
     parts[list(lenders(candidates))] = True

@@ -172,15 +172,15 @@ def switch_off_missing(
     """Deactivate the part that the shape most likely does not have; painted parts always stay, and one part always.
 
     ``prevalence`` (see ``part_prevalence``) makes a part that is usual harder to lose than one that is rare.
-    ``misfit`` of the result holds the log odds of each part's existence.
+    ``misfit`` of the result holds the log odds of each part's existence; nobody asks about painted ones.
     """
     if np.sqrt(unary.mean()) > SHARPNESS:
         return beliefs
     painted = given_parts(problem, templates.n_parts)
     found = existence_odds(
         problem, templates, candidates, correspondence, beliefs, unary, settle, owner=templates.label,
-        asked=beliefs.active, intercept=INTERCEPT, weights=SIGNS, known={"prevalence": prevalence},
-        without=lambda part: without(beliefs, part) if not painted[part] and beliefs.active.sum() > 1 else None,
+        asked=beliefs.active & ~painted, intercept=INTERCEPT, weights=SIGNS, known={"prevalence": prevalence},
+        without=lambda part: without(beliefs, part) if beliefs.active.sum() > 1 else None,
     )  # fmt: skip
     # those of parts found missing before are kept: the window shows them
     odds = np.where(np.isnan(found), beliefs.misfit, found)
