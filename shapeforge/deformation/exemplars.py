@@ -133,8 +133,8 @@ def lenders(candidates: Sequence[Candidate]) -> dict[int, int]:
 
     A part is lent when the shape believes enough of what the lender says of it, and unless all opinions together doubt
     that it exists, as an exemplar's own part is doubted: one whose template does not know the part has none, one that
-    switched it off speaks against it, the louder the better it explains the shape beside the lender.  The family's templates know every part of every exemplar: what they lend must be
-    as likely there as not.
+    switched it off speaks against it, the louder the better it explains the shape beside the lender.  The family's
+    templates know every part of every exemplar: what they lend must be as likely there as not.
     """
     best = best_of(candidates)
     said = [
@@ -152,11 +152,11 @@ def lenders(candidates: Sequence[Candidate]) -> dict[int, int]:
     return found
 
 
-def _together(candidates: Sequence[Candidate], least: float) -> Float[np.ndarray, " L"]:
-    """Log odds (L,) of the parts by the opinions of all candidates: in full of those whose weight is at ``least`` so
-    much, of others as far as theirs goes; who was not asked has none, NaN where nobody was."""
+def _together(candidates: Sequence[Candidate], weight: float) -> Float[np.ndarray, " L"]:
+    """Log odds (L,) of the parts by the opinions of all candidates: in full of those of this ``weight`` or more, of
+    others as far as theirs goes; who was not asked has none, NaN where nobody was."""
     said = np.stack([np.maximum(one.beliefs.misfit, NOWHERE) for one in candidates])  # NaN stays
-    heard = np.array([min(1.0, one.weight / least) for one in candidates])
+    heard = np.array([min(1.0, one.weight / weight) for one in candidates])
     return np.where(np.isnan(said).all(axis=0), np.nan, np.nansum(said * heard[:, None], axis=0))
 
 
