@@ -106,7 +106,7 @@ def test_a_part_that_the_best_exemplar_lacks_is_as_likely_there_as_not(family_fi
 
 
 def two_opinions(family_fit, arm_of_first: bool, said: tuple[float, float], weight: float, family: bool = False):
-    """Two candidates for the armchair: the best, with arms or not, and another with them; what they say of their odds."""
+    """Two candidates for the armchair: the best, with arms or not, and another with them; what they say of the odds."""
     names, state = family_fit
     arm, one = names.index("arm"), next(one for one in state.candidates[2] if one.family)
     evidence = np.full_like(one.beliefs.evidence, -1)
