@@ -46,7 +46,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "refine": ("fit", "learn"),
     "synthesize": ("fit", "learn"),
 }
-REVISION = 6
+REVISION = 7
 """Raised when stages mean something else by the same options: results of older revisions are then stale."""
 
 RESULTS: dict[str, tuple[str, ...]] = {

@@ -3,8 +3,8 @@
 The surfaces fall into pieces (``pieces``), and two kinds of co-segmentation look for the parts they belong to: part
 boxes with an offset on every shape, after Kim 2013 (``box_model``), and k-means on the looks of pieces and patches.
 No figure was found that tells which of them is right on a new family (the fitted model's energy does not), but where
-many fits agree they are mostly right, so they vote.  Then the shapes vote: a point goes to the part that like points of
-the *other* shapes belong to, which mends pieces that were cut badly.  It is a start only: the fit moves the borders.
+many fits agree they are mostly right, so they vote.  Then the shapes vote on every point (``voting``), which mends
+pieces that were cut badly.  It is a start only: the fit moves the borders.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from scipy.spatial.distance import cdist
 from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_limits
 
-from shapeforge.collection.align import Alignment, thinned
+from shapeforge.collection.align import Alignment
 from shapeforge.collection.groups import Groups
-from shapeforge.collection.shape import Shape
 from shapeforge.collection.symmetry import symmetry_plane
 from shapeforge.deformation.box_model import agreed_parts, split_most_distinct
-from shapeforge.deformation.pieces import box_frame, common_frame, find_pieces, piece_features, placed
+from shapeforge.deformation.pieces import box_frame, common_frame, find_pieces, piece_features
+from shapeforge.deformation.voting import exposure, vote
 
 SURE = 0.7  # share of the probability that goes to the proposed part; the rest is spread evenly (Q(S) at the start)
 FEWEST, MOST = 2, 8  # parts that are tried when no number is given
@@ -36,12 +36,7 @@ TAUGHT = 60  # shapes that the boxes are learnt from; the pieces of the others f
 ALIKE = 7  # pieces that a piece of another shape follows
 PRESENT = 0.01  # of its points: a shape with less of a part does not have it
 COMMON = 0.2  # of the shapes: a part that fewer have makes no exemplar (it may be one odd back)
-VOTING_ROUNDS, VOTES = 2, 30
-VOTERS, VOTED = 12_000, 1000  # points of all shapes that vote; points of a shape that are voted on
-REACH = 0.12  # diagonals that count as much as turning the normal by a right angle
-# What a point hears: like points' votes on itself, on its neighbours, on its whole piece, and what it was before; on a
-# patch, whose bounds are a guess, and on a component, whose bounds the modeller drew.
-PATCH_HEARS, COMPONENT_HEARS = (0.4, 0.3, 0.3, 0.0), (0.1, 0.1, 0.8, 0.3)
+VOTING_ROUNDS = 2
 
 # How much a feature of unit variance counts.  Where a patch ends in height tells more than where its middle is; the six
 # PCA features and the three diameters say much the same, so they share one voice.
@@ -107,8 +102,12 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
         of_patch = cluster_patches(features, patches.weight, first, rng=rng)[0]
         part, energy = _parts_of_pieces(pieces, patches, of_patch, first, n_parts, rng)
     parts = [part[pieces.owner == t][of_point] for t, of_point in enumerate(pieces.of_point)]
-    for _ in range(VOTING_ROUNDS if len(shapes) > 1 else 0):
-        parts = vote(shapes, frames, normal, offset, parts, n_parts, pieces.of_point, pieces.whole)
+    if len(shapes) > 1:
+        root = shapes[int(groups.exemplars[0])].points
+        views = frames, [box_frame(shapes[t].points, root) for t in range(len(shapes))]
+        exposures = [exposure(shapes[t]) for t in range(len(shapes))]
+        for _ in range(VOTING_ROUNDS):
+            parts = vote(shapes, views, exposures, normal, offset, parts, n_parts, pieces.of_point, pieces.whole)
     segmentation = tuple(SURE * np.eye(n_parts)[of_point] + (1 - SURE) / n_parts for of_point in parts)
     exemplars = richest_exemplars(groups, parts, n_parts)
     return Proposal(segmentation, tuple(f"part {i + 1}" for i in range(n_parts)), energy, exemplars)
@@ -205,55 +204,6 @@ def richest_exemplars(groups: Groups, parts: list[np.ndarray], n_parts: int) -> 
     return exemplars
 
 
-def vote(
-    shapes: Any, frames: list[Alignment], normal: np.ndarray, offset: float, parts: list[np.ndarray], n_parts: int,
-    pieces: list[np.ndarray], whole: list[np.ndarray],
-) -> list[np.ndarray]:  # fmt: skip
-    """New part of every point of every shape, from the parts (P,) of like points of the other shapes.
-
-    Alike in place (folded at the mirror plane), direction and thickness.  A point's vote is averaged with those of its
-    neighbours and of its piece, so borders stay short.
-    """
-    number = len(shapes)
-    share = max(2, VOTERS // number)
-    voters = [thinned(_likeness(shapes[t], frames[t], normal, offset), share) for t in range(number)]
-    tree = cKDTree(np.concatenate(voters))
-    said = np.concatenate([thinned(part, share) for part in parts])
-    of_shape = np.repeat(np.arange(number), [len(rows) for rows in voters])
-    # The own points are found, too, but have no vote: enough others must be among the nearest.
-    k = min(VOTES + VOTES // max(number - 1, 1), len(said))
-    voted = []
-    for t in range(number):
-        shape = shapes[t]
-        rows = _likeness(shape, frames[t], normal, offset)
-        asked = thinned(rows, VOTED)
-        distance, near = tree.query(asked, k=k)
-        width = np.maximum(distance[:, : k // 2 + 1].mean(axis=1, keepdims=True), 1e-9)
-        weight = np.exp(-0.5 * (distance / width) ** 2) * (of_shape[near] != t)
-        votes = np.stack([(weight * (said[near] == part)).sum(axis=1) for part in range(n_parts)], axis=1) + 1e-9
-        votes /= votes.sum(axis=1, keepdims=True)
-        own = votes[cKDTree(asked).query(rows)[1]]
-        present = shape.neighbours >= 0
-        around = (own[shape.neighbours] * present[:, :, None]).sum(axis=1)
-        around = around / np.maximum(present.sum(axis=1, keepdims=True), 1)
-        piece = pieces[t]
-        sums = np.stack([np.bincount(piece, column) for column in own.T], axis=1)
-        of_piece = (sums / np.maximum(np.bincount(piece), 1)[:, None])[piece]
-        before = parts[t][:, None] == np.arange(n_parts)
-        hears = np.where(whole[t][piece][:, None], COMPONENT_HEARS, PATCH_HEARS)
-        heard = zip(hears.T[:, :, None], (own, around, of_piece, before), strict=True)
-        voted.append(sum(loud * votes for loud, votes in heard).argmax(axis=1))
-    return voted
-
-
-def _likeness(shape: Shape, frame: Alignment, normal: np.ndarray, offset: float) -> np.ndarray:
-    """Rows (P, 8), near for like points: place folded at the mirror plane, squared normal, thickness, geodesics."""
-    places, normals = placed(shape, frame, normal, offset)
-    places = np.concatenate([np.abs(places[:, :1]), places[:, 1:]], axis=1)
-    described = shape.descriptors[:, [0, 3]] * [2, 1]
-    return np.concatenate([places / REACH, normals**2, described], axis=1)
-
-
 def standardized(features: Float[np.ndarray, "n F"], weight: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n F"]:
     """Features (n, F) with weighted mean 0 and variance 1; a constant column becomes 0."""
     mean = np.average(features, axis=0, weights=weight)
@@ -325,8 +275,3 @@ def silhouette(
     other = between.min(axis=1)
     value = np.where(alone, 0.0, (other - inside) / np.maximum(np.maximum(inside, other), 1e-12))
     return float(np.average(value, weights=weight))
-
-
-def _members(patch: np.ndarray) -> list[np.ndarray]:
-    order = np.argsort(patch, kind="stable")
-    return np.split(order, np.cumsum(np.bincount(patch))[:-1])

@@ -32,9 +32,9 @@ LENT = 0.1
 """A part that the best exemplar lacks is another's, if at least this share of what that one says of it is believed, and
 if it is not doubted as a part of one's own is: by the log odds of its existence, both opinions together."""
 
-BROUGHT_ODDS = 0.0
-"""Log odds, both opinions together, from which a part is believed that the family's templates bring to a shape whose
-best exemplar lacks it."""
+BROUGHT, BROUGHT_ODDS = 0.4, 0.0
+"""The same share, and log odds of all opinions together, from which a part is believed that the family's templates
+bring to a shape whose best exemplar lacks it."""
 
 NOWHERE = -6.0
 """Log odds that an exemplar's word counts for, to whose template of a part hardly any surface was left: it may sit
@@ -131,44 +131,52 @@ def best_of(candidates: Sequence[Candidate]) -> Candidate:
 def lenders(candidates: Sequence[Candidate]) -> dict[int, int]:
     """Parts that the best candidate lacks, and which candidate brings each: its index.
 
-    A part is lent when the shape believes enough of what the lender says of it, and unless both opinions together doubt
+    A part is lent when the shape believes enough of what the lender says of it, and unless all opinions together doubt
     that it exists, as an exemplar's own part is doubted: one whose template does not know the part has none, one that
-    switched it off speaks against it.
+    switched it off speaks against it, the louder the better it explains the shape beside the lender.  The family's
+    templates know every part of every exemplar: what they lend must be as likely there as not.
     """
-    best = best_of(candidates).beliefs
+    best = best_of(candidates)
     said = [
         voice @ candidate.beliefs.segmentation for voice, candidate in zip(voices(candidates), candidates, strict=True)
     ]
     found = {}
-    for part in np.flatnonzero(~best.active).tolist():
+    for part in np.flatnonzero(~best.beliefs.active).tolist():
         lender = max(range(len(candidates)), key=lambda i: said[i][part])
         theirs = candidates[lender].beliefs
         own = theirs.segmentation[:, part].sum(dtype=np.float64)
-        odds = _together(theirs, best)[part]
-        if theirs.active[part] and said[lender][part] > LENT * own and not odds < DOUBT:
+        odds = _together(candidates, candidates[lender].weight)[part]
+        share, least = (BROUGHT, BROUGHT_ODDS) if candidates[lender].family else (LENT, DOUBT)
+        if theirs.active[part] and said[lender][part] > share * own and not odds < least:
             found[part] = lender
     return found
 
 
-def _together(one: Beliefs, other: Beliefs) -> Float[np.ndarray, " L"]:
-    """Log odds (L,) of the parts by both opinions; who was not asked has none, NaN where neither was."""
-    said = np.maximum(np.stack([one.misfit, other.misfit]), NOWHERE)  # NaN stays
-    return np.where(np.isnan(said).all(axis=0), np.nan, np.nansum(said, axis=0))
+def _together(candidates: Sequence[Candidate], weight: float) -> Float[np.ndarray, " L"]:
+    """Log odds (L,) of the parts by the opinions of all candidates: in full of those of this ``weight`` or more, of
+    others as far as theirs goes; who was not asked has none, NaN where nobody was."""
+    said = np.stack([np.maximum(one.beliefs.misfit, NOWHERE) for one in candidates])  # NaN stays
+    heard = np.array([min(1.0, one.weight / weight) for one in candidates])
+    return np.where(np.isnan(said).all(axis=0), np.nan, np.nansum(said * heard[:, None], axis=0))
 
 
 def believed_parts(candidates: Sequence[Candidate]) -> Bool[np.ndarray, " L"]:
     """Parts (L,) that the shape has: those of the best candidate, and those lent to it.
 
-    The family's templates bring every part of every exemplar to a shape: one that the best exemplar lacks must be as
-    likely there as not, unless it is painted.
+    A part that the best was never asked about is doubted by what the others say.  The family's templates bring every
+    part of every exemplar to a shape: one that the best exemplar lacks must be as likely there as not, unless it is
+    painted.
     """
     best = best_of(candidates)
-    parts = best.beliefs.active.copy()
+    doubted = np.isnan(best.beliefs.misfit) & (_together(candidates, best.weight) < DOUBT)
+    parts = best.beliefs.active & ~doubted
+    if not parts.any():
+        parts = best.beliefs.active.copy()
     exemplars = [candidate for candidate in candidates if not candidate.family]
     if best.family and exemplars:
-        lacking = best_of(exemplars).beliefs
-        odds = _together(best.beliefs, lacking)
-        parts &= lacking.active | ~(odds < BROUGHT_ODDS) | np.isin(np.arange(len(parts)), best.beliefs.evidence)
+        lacking = best_of(exemplars)
+        odds = _together((best, lacking), lacking.weight)
+        parts &= lacking.beliefs.active | ~(odds < BROUGHT_ODDS) | np.isin(np.arange(len(parts)), best.beliefs.evidence)
         if not parts.any():
             parts = best.beliefs.active.copy()
     parts[list(lenders(candidates))] = True

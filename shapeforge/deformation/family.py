@@ -177,13 +177,17 @@ def _turned_back(found: Alignment, pose: Float[np.ndarray, "3 3"]) -> Alignment:
 
 
 def _believing(start: Beliefs, known: Beliefs, active: np.ndarray) -> Beliefs:
-    """A start with these active parts (L,), which trusts what is known of the labels, but not blindly."""
+    """A start with these active parts (L,), which trusts what is known of the labels, but not blindly.
+
+    Parts that it lacks stay as doubted as they were: else an exemplar that nobody asked would bring them back.
+    """
     said = TRUSTED * known.segmentation + (1.0 - TRUSTED) * active / active.sum()
     said = np.where(active, said, 0.0) + 1e-9 * active
     said /= said.sum(axis=1, keepdims=True)
     painted = start.evidence >= 0
     said[painted] = np.eye(len(active))[start.evidence[painted]]
-    return replace(start, active=active, segmentation=said)
+    odds = np.where(active, np.nan, np.fmin(start.misfit, known.misfit))
+    return replace(start, active=active, segmentation=said, misfit=odds)
 
 
 def _misfits(shape, faces, templates, candidates, hierarchies, covariances) -> Float[np.ndarray, " H"]:

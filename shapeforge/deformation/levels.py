@@ -5,7 +5,8 @@ further levels.  That a registration went astray is seen without any truth: poin
 and come back should be where they were (cycle consistency, as in Nguyen et al. 2011, "An optimization approach to
 improving collections of shape maps").  Errors of registrations that follow each other add like variances, so a group
 hangs from that before it on the path from the top with the least sum of squared round trips; but from the top itself
-where the round trip to the top is as exact as the points are dense, or would not be clearly shorter over the path.
+where the round trip to the top is as exact as the points are dense, or would not be clearly shorter and nearly exact over
+the path.
 """
 
 from __future__ import annotations
@@ -28,6 +29,10 @@ NEAREST = 5
 
 SHORTER = 0.9
 """Share of its direct round trip to the top that a group's round trip over another must stay below."""
+
+REACHED = 2.0
+"""How far apart, in the distance of the top's points from each other, points may be after a round trip over another
+group: further, and neither way is right."""
 
 PART_SAMPLE = 300
 """Points of either side by which nearness is told."""
@@ -65,7 +70,7 @@ def link_part(registrations: Registrations, top: int, part: int) -> Levels:
         there = registrations.onward(top, g, part, there)
         again = carried(registrations.of_part(g, before, part), middle, back[before])
         again = registrations.onward(g, top, part, again)
-        if trip(g, there, again) < SHORTER * trip(g, places[g], back[g]):
+        if trip(g, there, again) < min(SHORTER * trip(g, places[g], back[g]), REACHED * exact):
             places[g], back[g], over[g] = there, again, before
     return Levels(places, over)
 

@@ -11,10 +11,12 @@ from shapeforge.collection.families import generate
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.iterate import last
 from shapeforge.deformation import family
-from shapeforge.deformation.exemplars import NOWHERE, WORTHLESS, believed_parts, leading, worth_hearing
+from shapeforge.deformation.exemplars import NOWHERE, WORTHLESS, believed_parts, leading, lenders, worth_hearing
+from shapeforge.deformation.existence import DOUBT
 from shapeforge.deformation.factors import FLOORS
 from shapeforge.deformation.fit import HEARD_ROUNDS, fit_templates
 from shapeforge.deformation.hierarchy import family_templates
+from shapeforge.deformation.partial import LEFT_OUT
 from tests.deformation.test_hierarchy import PARTS, chair
 from tests.generated import prepared, true_parts
 
@@ -102,6 +104,64 @@ def test_a_part_that_the_best_exemplar_lacks_is_as_likely_there_as_not(family_fi
     # an exemplar to whose template no surface was left speaks against it, but not against one that is quite sure
     assert believed_parts(candidates(-NOWHERE + 0.5, against=-np.inf))[leg]
     assert not believed_parts(candidates(-NOWHERE - 0.5, against=-np.inf))[leg]
+
+
+def two_opinions(family_fit, arm_of_first: bool, said: tuple[float, float], weight: float, family: bool = False):
+    """Two candidates for the armchair: the best, with arms or not, and another with them; what they say of the odds."""
+    names, state = family_fit
+    arm, one = names.index("arm"), next(one for one in state.candidates[2] if one.family)
+    evidence = np.full_like(one.beliefs.evidence, -1)
+    odds = [np.where(np.arange(len(names)) == arm, value, np.nan) for value in said]
+    active = one.beliefs.active & ((np.arange(len(names)) != arm) | arm_of_first)
+    segmentation = np.where(active, one.beliefs.segmentation, 0.0)
+    first = replace(one.beliefs, active=active, segmentation=segmentation, misfit=odds[0], evidence=evidence)
+    second = replace(one.beliefs, misfit=odds[1], evidence=evidence)
+    found = (
+        replace(one, beliefs=first, weight=1.0, family=False),
+        replace(one, beliefs=second, weight=weight, family=family),
+    )
+    return arm, found
+
+
+def test_a_part_is_not_lent_that_who_explains_the_shape_as_well_doubts(family_fit):
+    """The third is as good as the lender, or counts for little beside it."""
+    arm, (best, lender) = two_opinions(family_fit, False, (np.nan, np.nan), 0.5)
+    assert lenders((best, lender)) == {arm: 1}
+    against = np.where(np.isnan(best.beliefs.misfit), DOUBT - 1.0, np.nan)
+    third = replace(best, beliefs=replace(best.beliefs, misfit=against), misfit=best.misfit + 50.0)
+    assert lenders((best, lender, replace(third, weight=0.5))) == {}
+    assert lenders((best, lender, replace(third, weight=0.05))) == {arm: 1}
+
+
+def test_what_the_family_lends_is_as_likely_there_as_not(family_fit):
+    for odds, lent in ((0.5, True), (-0.5, False), (np.nan, True)):
+        arm, found = two_opinions(family_fit, False, (np.nan, odds), 0.9, family=True)
+        assert (arm in lenders(found)) == lent
+        # an exemplar's own part is only doubted further down
+        assert arm in lenders(two_opinions(family_fit, False, (np.nan, odds), 0.9)[1])
+
+
+def test_the_best_is_doubted_by_others_where_nobody_asked_it(family_fit):
+    for own, others, weight, believed in (
+        (np.nan, DOUBT - 1.0, 0.9, False), (np.nan, DOUBT - 1.0, 0.2, True), (0.5, DOUBT - 1.0, 0.9, True),
+        (np.nan, np.nan, 0.9, True),
+    ):  # fmt: skip
+        arm, found = two_opinions(family_fit, True, (own, others), weight)
+        assert believed_parts(found)[arm] == believed
+
+
+def test_the_family_starts_with_what_was_doubted_still_in_doubt(family_fit):
+    names, state = family_fit
+    arm, hierarchy = names.index("arm"), state.family
+    exemplar = next(one for one in state.candidates[1] if not one.family)
+    odds = np.where(np.arange(len(names)) == arm, LEFT_OUT, np.nan)
+    doubting = replace(exemplar, beliefs=replace(exemplar.beliefs, misfit=odds), weight=1.0)
+    made = generate("chairs", 2, seed=11, broken=0.0, classes=("side",))
+    shape = prepared(made, 700)[1]
+    started = family.family_starts(shape, None, state.templates[:-1], (doubting,), hierarchy)
+    believed = started[-1].beliefs
+    assert not believed.active[arm] and believed.misfit[arm] == LEFT_OUT
+    assert np.isnan(believed.misfit[believed.active]).all()
 
 
 def test_an_exemplar_far_behind_the_best_is_given_up(family_fit):
