@@ -5,8 +5,8 @@ further levels.  That a registration went astray is seen without any truth: poin
 and come back should be where they were (cycle consistency, as in Nguyen et al. 2011, "An optimization approach to
 improving collections of shape maps").  Errors of registrations that follow each other add like variances, so a group
 hangs from that before it on the path from the top with the least sum of squared round trips; but from the top itself
-where the round trip to the top is as exact as the points are dense, or would not be clearly shorter and nearly exact over
-the path.
+where the round trip to the top is as exact as the points are dense, or where over the path it would not be clearly
+shorter and nearly as exact.
 """
 
 from __future__ import annotations
