@@ -98,8 +98,8 @@ class Family:
         return [t for t in range(len(self.shapes)) if t not in self.exemplars]
 
 
-def read_family(folder: Path, count: int, n_points: int, seed: int) -> Family:
-    """At most ``count`` shapes of a folder, evenly picked, with exemplars."""
+def read_family(folder: Path, count: int, n_points: int, seed: int, exemplars: int = EXEMPLARS) -> Family:
+    """At most ``count`` shapes of a folder, evenly picked, with so many exemplars."""
     files = sorted(folder.glob("*.obj"))
     files = [files[i] for i in np.unique(np.linspace(0, len(files) - 1, count).round().astype(int))]
     names, places = find_part_names(folder), json.loads((folder / "landmarks.json").read_text())
@@ -113,7 +113,7 @@ def read_family(folder: Path, count: int, n_points: int, seed: int) -> Family:
         marks.append({mark: shape.frame.to_normal(np.asarray(place, float)) for mark, place in given})
     groups = last(group_shapes(shapes, rng=np.random.default_rng(seed))).groups
     has = np.array([[(faces == part).any() for part in range(len(names.names))] for faces in truth])
-    return Family(shapes, truth, marks, names.names, around(groups, covering(has, groups.dissimilarity)))
+    return Family(shapes, truth, marks, names.names, around(groups, covering(has, groups.dissimilarity, exemplars)))
 
 
 def covering(has: np.ndarray, distance: np.ndarray, count: int = EXEMPLARS) -> list[int]:

@@ -92,9 +92,11 @@ def fit(task: Task) -> Iterator[Progress]:
     write_record(folder / "fit.zarr.zip", state)
     checkpoint.unlink(missing_ok=True)
     text = f"{state.round} rounds, {len(hierarchy.top.label)} corresponding points"
+    text += f", {hierarchy.levels} levels of templates" if hierarchy.levels > 2 else ""
     task.summary |= {
         "text": text, "rounds": state.round, "energy": _number(state.energy), "stop_reason": state.stop_reason,
         "points": len(hierarchy.top.label), "parts": list(part_names), "shapes": list(project.names),
+        "levels": hierarchy.levels,
         "painted": {name: project.label_key(name) for name in project.labelled},
         "exemplars": [template.source for template in state.templates if template.source],
     }  # fmt: skip

@@ -23,6 +23,8 @@ from shapeforge.collection.groups import Groups
 from shapeforge.collection.labels import PartNames
 from shapeforge.collection.shape import Frame, Mesh, Shape
 from shapeforge.deformation.beliefs import Beliefs
+from shapeforge.deformation.hierarchy import Hierarchy, Link
+from shapeforge.deformation.templates import template_from_points
 from shapeforge.store import Problem, Project, ProjectError, key_of
 from shapeforge.store_arrays import decode, encode, read_arrays, read_record, write_arrays, write_record
 
@@ -121,6 +123,19 @@ def test_nested_tuples_of_records_go_through_columns() -> None:
     assert same(decode(outline, arrays), record)
     lending = dataclasses.replace(beliefs(3, 0), lent=((1, beliefs(2, 1)),))
     assert same(decode(*encode((lending, beliefs(2, 1)))), (lending, beliefs(2, 1)))
+
+
+def test_a_hierarchy_that_was_stored_before_there_were_levels_is_read_as_one_of_two() -> None:
+    rng = np.random.default_rng(0)
+    top = template_from_points(
+        rng.random((30, 3)), rng.random((30, 3)), rng.random((30, 10)), np.zeros(30, int), ("a",)
+    )
+    link = Link(np.zeros((30, 3), np.int32), np.full((30, 3), 1 / 3), np.ones(30, bool))
+    hierarchy = Hierarchy(top, (link, link), np.array([[-1], [0]], np.int32))
+    outline, arrays = encode(hierarchy)
+    assert same(decode(outline, arrays), hierarchy) and decode(outline, arrays).levels == 3
+    del outline["fields"]["over"]
+    assert decode(outline, arrays).levels == 2
 
 
 def test_what_is_no_plain_data_is_refused(tmp_path: Path) -> None:

@@ -211,4 +211,5 @@ def _with_itself(hierarchy: Hierarchy) -> Hierarchy:
     number = hierarchy.top.n_points
     index, weight = np.zeros((number, 3), np.int32), np.zeros((number, 3))
     index[:, 0], weight[:, 0] = np.arange(number), 1.0
-    return replace(hierarchy, links=(*hierarchy.links, Link(index, weight, np.ones(number, bool))))
+    over = np.concatenate([hierarchy.over, np.full((1, hierarchy.top.n_parts), -1, np.int32)])
+    return replace(hierarchy, links=(*hierarchy.links, Link(index, weight, np.ones(number, bool))), over=over)

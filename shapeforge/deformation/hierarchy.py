@@ -2,43 +2,31 @@
 
 The same model, with the groups' learnt templates as its input "shapes" and their labels as evidence.  Each label is
 started from several groups' templates in turn, and the start that explains the other groups best is kept; a part that
-one group alone has moves up unchanged.
+one group alone has moves up unchanged.  Of many groups some may be linked over others (see ``levels``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from shapeforge.collection.align import Alignment, affine_align
 from shapeforge.collection.shape import Shape
 from shapeforge.collection.surface import closest_points
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.components import mostly_spare
-from shapeforge.deformation.factors import FLOORS, initial_covariances
-from shapeforge.deformation.templates import PartTemplates, pair_graph, template_from_points
-from shapeforge.deformation.updates import (
-    Problem,
-    find_candidates,
-    update_correspondences,
-    update_deformations,
-    update_maps,
-)
+from shapeforge.deformation.levels import Levels, link_part
+from shapeforge.deformation.registration import Registrations, gap
+from shapeforge.deformation.templates import PartTemplates, template_from_points
 
 STARTS_PER_PART = 3
 """Groups whose template is tried as the start of a label."""
 
-ROUNDS = 8
-
 HUBS = 3
 """Groups that are tried as the one that gives the family all the parts it has."""
-
-LEAST_POINTS = 12
-"""Points of a part on both sides from which its own affine start is found: what the labels tell, the start may use."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +40,25 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class Hierarchy:
-    """The top-level templates and their link to every group's templates (same order as the fit's templates)."""
+    """The top-level templates and their link to every group's templates (same order as the fit's templates).
+
+    ``over[g, part]`` is the group over whose templates those of group g are linked, the level in between; -1 where they
+    are linked directly, as all are where ``over`` is None.
+    """
 
     top: PartTemplates
     links: tuple[Link, ...]
+    over: Int[np.ndarray, "G L"] | None = None
+
+    @property
+    def levels(self) -> int:
+        """Levels of templates from the top to the groups' own; two where every group is linked directly."""
+        depth, over = 2, self.over
+        while over is not None and (over >= 0).any():
+            depth += 1
+            above = np.take_along_axis(self.over, np.maximum(over, 0), axis=0)
+            over = np.where(over >= 0, above, -1)
+        return depth
 
 
 def link_templates(templates: Sequence[PartTemplates], shapes: Sequence[int] | None = None) -> Hierarchy:
@@ -84,85 +87,17 @@ def family_templates(
     has = np.array([template.has_part() for template in templates])
     size = np.asarray([1] * number if shapes is None else shapes, np.float64)
     sources = [_starts(templates, has, size, part) for part in range(n_parts)]
-    fits: dict[tuple[int, int], np.ndarray] = {}
-
-    def need(wanted: Iterable[int]) -> None:
-        for a in sorted(set(wanted)):
-            for b in range(number):
-                if a != b and (a, b) not in fits and (has[a] & has[b]).any():
-                    fits[a, b] = register(templates[a], templates[b])
-
-    need(a for tried in sources for a in tried)
-    best = [_best_start(part, tried, templates, has, size, fits) for part, tried in enumerate(sources)]
+    registrations = Registrations(templates)
+    best = [_best_start(part, tried, registrations, size) for part, tried in enumerate(sources)]
     choices = [best]
     most = has.sum(axis=1)
     for hub in sorted(np.flatnonzero(most == most.max()).tolist(), key=lambda g: (-size[g], g))[:hubs]:
         choice = [hub if has[hub, part] else best[part] for part in range(n_parts)]
         if choice not in choices:
-            need([hub])
             choices.append(choice)
-    return [_assemble(templates, has, chosen, fits) for chosen in choices]
-
-
-def register(source: PartTemplates, target: PartTemplates) -> Float[np.ndarray, "K 3"]:
-    """``source``'s points (K, 3) deformed onto ``target``'s of the same part; parts it lacks only ride along.
-
-    The labels are known on both sides, so every part is fitted by itself, from the affine map of the whole and from
-    one of its own, and keeps the outcome that leaves the smaller gap.
-    """
-    shared = source.has_part() & target.has_part()
-    on_source, on_target = shared[source.label], shared[target.label]
-    alignment = affine_align(source.points[on_source], target.points[on_target])
-    deformed = alignment(source.points)
-    for part in np.flatnonzero(shared).tolist():
-        mine, theirs = _of_part(source, part), _of_part(target, part)
-        starts = [alignment]
-        if min(mine.n_points, theirs.n_points) >= LEAST_POINTS:
-            starts.append(affine_align(mine.points, theirs.points))
-        outcomes = [_settled(mine, theirs, start) for start in starts]
-        deformed[source.label == part] = min(outcomes, key=lambda points: _gap(points, theirs.points))
-    return deformed
-
-
-def _of_part(templates: PartTemplates, part: int) -> PartTemplates:
-    """The template of one part, as a family of one part."""
-    rows = np.flatnonzero(templates.label == part)
-    place = np.full(templates.n_points + 1, -1, np.int32)  # the last: neighbours that are none
-    place[rows] = np.arange(len(rows))
-    return replace(
-        templates, points=templates.points[rows], normals=templates.normals[rows], label=np.zeros(len(rows), np.int32),
-        component=templates.component[rows], neighbours=place[templates.neighbours[rows]],
-        descriptors=templates.descriptors[rows], part_names=templates.part_names[part : part + 1],
-    )  # fmt: skip
-
-
-def _settled(source: PartTemplates, target: PartTemplates, start: Alignment) -> Float[np.ndarray, "K 3"]:
-    """A part's points (K, 3) after the model's updates against another template of the part."""
-    problem = Problem(
-        np.ascontiguousarray(target.points), np.ascontiguousarray(target.normals),
-        np.ascontiguousarray(target.descriptors), np.zeros(target.n_points + 1, np.int64), np.zeros(0, np.int32),
-        target.label,
-    )  # fmt: skip
-    deformed = start(source.points)
-    beliefs = Beliefs(
-        0, deformed, np.full_like(deformed, 1e-4), start.matrix[None], start.offset[None],
-        np.ones((target.n_points, 1)), np.ones(1, bool), problem.evidence, np.full(1, np.nan),
-    )  # fmt: skip
-    graph = pair_graph(source.neighbours)
-    wide = initial_covariances(source.descriptors.shape[1])
-    for sigma in np.geomspace(0.05, 1.5 * FLOORS["unary"], ROUNDS):
-        covariances = replace(wide, unary=np.full(3, sigma**2))
-        candidates = find_candidates(problem, source, beliefs, covariances.descriptor)
-        for _ in range(3):
-            correspondence = update_correspondences(problem, source, candidates, beliefs, covariances.unary)
-            beliefs = update_deformations(source, graph, correspondence, beliefs, covariances)
-        beliefs = update_maps(source, correspondence, beliefs)
-    return beliefs.deformed
-
-
-def _gap(a: np.ndarray, b: np.ndarray) -> float:
-    """Mean distance to the nearest point, both ways (diagonals)."""
-    return float(cKDTree(a).query(b)[0].mean() + cKDTree(b).query(a)[0].mean())
+    needed = {(top, part) for chosen in choices for part, top in enumerate(chosen) if top >= 0}
+    linked = {one: link_part(registrations, *one) for one in sorted(needed)}
+    return [_assemble(registrations, chosen, linked) for chosen in choices]
 
 
 def _starts(templates: Sequence[PartTemplates], has: np.ndarray, size: np.ndarray, part: int) -> list[int]:
@@ -172,65 +107,64 @@ def _starts(templates: Sequence[PartTemplates], has: np.ndarray, size: np.ndarra
     return sorted(owners, key=lambda g: (-size[g], -points[g], g))[:STARTS_PER_PART]
 
 
-def _best_start(part, tried, templates, has, size, fits) -> int:
+def _best_start(part: int, tried: list[int], registrations: Registrations, size: np.ndarray) -> int:
     """The start whose deformed part leaves the smallest gap on the shapes of groups that have the part; -1: none."""
-    gaps = []
+    owners, gaps = np.flatnonzero(registrations.has[:, part]).tolist(), []
     for a in tried:
         total, weight = 0.0, 0.0
-        for b in range(len(templates)):
-            if not has[b, part]:
-                continue
+        for b in owners:
             weight += size[b]
             if b != a:
-                mine = fits[a, b][templates[a].label == part]
-                total += size[b] * _gap(mine, templates[b].points[templates[b].label == part])
+                total += size[b] * gap(registrations.of_part(a, b, part), registrations.part(b, part).points)
         gaps.append(total / max(weight, 1e-12))
     return tried[int(np.argmin(gaps))] if tried else -1
 
 
-def _assemble(templates, has, chosen, fits) -> Hierarchy:
+def _assemble(registrations: Registrations, chosen: list[int], linked: Mapping[tuple[int, int], Levels]) -> Hierarchy:
+    templates, has = registrations.templates, registrations.has
     present = [part for part, a in enumerate(chosen) if a >= 0]
-    rows = {part: np.flatnonzero(templates[chosen[part]].label == part) for part in present}
+    own = {part: registrations.part(chosen[part], part) for part in present}
     # all parts are drawn in the frame of the group that gave most of them
-    reference = max(set(chosen) - {-1}, key=lambda a: (sum(len(rows[p]) for p in present if chosen[p] == a), -a))
+    reference = max(set(chosen) - {-1}, key=lambda a: (sum(own[p].n_points for p in present if chosen[p] == a), -a))
+
+    def in_frame(part: int) -> np.ndarray:
+        if chosen[part] == reference:
+            return own[part].points
+        if has[reference, part]:
+            return linked[chosen[part], part].places[reference]
+        shared = (has[chosen[part]] & has[reference]).any()
+        return registrations.whole(chosen[part], reference)(own[part].points) if shared else own[part].points
 
     def gathered(attribute: str) -> np.ndarray:
-        return np.concatenate([getattr(templates[chosen[part]], attribute)[rows[part]] for part in present])
+        return np.concatenate([getattr(own[part], attribute) for part in present])
 
-    points = np.concatenate(
-        [
-            templates[reference].points[rows[part]]
-            if chosen[part] == reference
-            else fits.get((chosen[part], reference), templates[chosen[part]].points)[rows[part]]
-            for part in present
-        ]
-    )
-    label = gathered("label")
+    label = np.repeat(present, [own[part].n_points for part in present]).astype(np.int32)
     # a single exemplar's components are the family's; of several, put together, what touches is taken for one
     surface = gathered("component") if len(templates) == 1 else None
     top = template_from_points(
-        points, gathered("normals"), gathered("descriptors"), label, templates[0].part_names, surface=surface
-    )
-    links = []
+        np.concatenate([in_frame(part) for part in present]), gathered("normals"), gathered("descriptors"), label,
+        templates[0].part_names, surface=surface,
+    )  # fmt: skip
+    links, over = [], np.full(has.shape, -1, np.int32)
     for b, template in enumerate(templates):
         index, weight = np.zeros((len(label), 3), np.int32), np.zeros((len(label), 3))
         for part in present:
-            here = label == part
-            a = chosen[part]
             if not has[b, part]:
                 continue
+            here, a, rows = label == part, chosen[part], np.flatnonzero(template.label == part)
             if a == b:
-                index[here, 0], weight[here, 0] = rows[part], 1.0
+                index[here, 0], weight[here, 0] = rows, 1.0
                 continue
-            own = np.flatnonzero(template.label == part)
-            near = min(3, len(own))
-            distance, nearest = cKDTree(template.points[own]).query(fits[a, b][rows[part]], k=near)
+            found = linked[a, part]
+            over[b, part] = found.over.get(b, -1)
+            near = min(3, len(rows))
+            distance, nearest = cKDTree(template.points[rows]).query(found.places[b], k=near)
             distance, nearest = distance.reshape(-1, near), nearest.reshape(-1, near)
             inverse = 1.0 / np.maximum(distance, 1e-9)
-            index[here, :near] = own[nearest]
+            index[here, :near] = rows[nearest]
             weight[here, :near] = inverse / inverse.sum(axis=1, keepdims=True)
         links.append(Link(index, weight, has[b][label]))
-    return Hierarchy(top, tuple(links))
+    return Hierarchy(top, tuple(links), over)
 
 
 def deformed_family(

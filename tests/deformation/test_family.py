@@ -68,6 +68,7 @@ def test_every_shape_is_led_by_the_same_templates(family_fit):
     assert hierarchy.top is state.templates[-1] and len(hierarchy.links) == len(state.templates)
     itself = hierarchy.links[-1]
     assert (itself.index[:, 0] == np.arange(hierarchy.top.n_points)).all() and itself.exists.all()
+    assert hierarchy.over.shape == (len(hierarchy.links), len(hierarchy.top.part_names)) and hierarchy.levels == 2
 
 
 def test_parts_of_two_exemplars_are_found_together_on_a_shape_that_has_both(family_fit):
