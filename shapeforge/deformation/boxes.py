@@ -23,7 +23,13 @@ from shapeforge.collection.align import Alignment
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.symmetry import symmetry_plane
 from shapeforge.deformation.box_model import agreed_parts, split_most_distinct
-from shapeforge.deformation.pieces import box_frame, common_frame, find_pieces, piece_features
+from shapeforge.deformation.pieces import (
+    box_frame,
+    common_frame,
+    find_pieces,
+    piece_features,
+    point_components,
+)
 from shapeforge.deformation.voting import exposure, vote
 
 SURE = 0.7  # share of the probability that goes to the proposed part; the rest is spread evenly (Q(S) at the start)
@@ -105,9 +111,14 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
     if len(shapes) > 1:
         root = shapes[int(groups.exemplars[0])].points
         views = frames, [box_frame(shapes[t].points, root) for t in range(len(shapes))]
-        exposures = [exposure(shapes[t]) for t in range(len(shapes))]
+        exposures, components = [], []
+        for t in range(len(shapes)):
+            exposures.append(exposure(shapes[t]))
+            components.append(point_components(shapes[t]))
         for _ in range(VOTING_ROUNDS):
-            parts = vote(shapes, views, exposures, normal, offset, parts, n_parts, pieces.of_point, pieces.whole)
+            parts = vote(
+                shapes, views, exposures, normal, offset, parts, n_parts, pieces.of_point, pieces.whole, components
+            )
     segmentation = tuple(SURE * np.eye(n_parts)[of_point] + (1 - SURE) / n_parts for of_point in parts)
     exemplars = richest_exemplars(groups, parts, n_parts)
     return Proposal(segmentation, tuple(f"part {i + 1}" for i in range(n_parts)), energy, exemplars)

@@ -39,7 +39,7 @@ SETTLED = 5e-4
 EXEMPLARS_SHARE = 0.7
 """Share of the planned rounds that several exemplars get: the templates of the family bring their work to its end."""
 
-SEED_WEIGHT, SEED_DECAY = 3.0, 0.8
+SEED_WEIGHT, SEED_DECAY = 3.0, 0.95
 """Power with which proposed label probabilities count beside the templates in the first round, and its factor a round.
 As a mere start they were forgotten in a round or two, and what all shapes had agreed on was lost on odd ones."""
 

@@ -30,8 +30,7 @@ LEVEL = 0.01  # diagonals above the tangent plane that still count as below
 
 def find_pieces(shape: Shape) -> tuple[Int[np.ndarray, " P"], Bool[np.ndarray, " n"]]:
     """Piece number (P,) of every point, from 0 and without gaps, and which pieces are whole components (n,)."""
-    component = face_components(shape.mesh)[shape.face_of_point]
-    component = np.unique(component, return_inverse=True)[1].reshape(-1)
+    component = point_components(shape)
     number, height = len(component), float(np.ptp(shape.points[:, 1]))
     piece = np.full(number, -1, np.int64)
     whole: list[bool] = []
@@ -49,6 +48,12 @@ def find_pieces(shape: Shape) -> tuple[Int[np.ndarray, " P"], Bool[np.ndarray, "
         piece[crumbs] = len(whole) + inside.reshape(-1)
         whole += [False] * len(numbers)
     return piece, np.array(whole)
+
+
+def point_components(shape: Shape) -> Int[np.ndarray, " P"]:
+    """Connected component of the mesh (P,) that every point lies on, numbered from 0 and without gaps."""
+    component = face_components(shape.mesh)[shape.face_of_point]
+    return np.unique(component, return_inverse=True)[1].reshape(-1)
 
 
 def face_components(mesh: Mesh) -> Int[np.ndarray, " F"]:

@@ -26,6 +26,7 @@ SEEN = 2.0  # how much seeing all of a side rather than nothing counts beside tu
 # What a point hears: like points' votes on itself, on its neighbours, on its whole piece, and what it was before; on a
 # patch, whose bounds are a guess, and on a component, whose bounds the modeller drew.
 PATCH_HEARS, COMPONENT_HEARS = (0.2, 0.2, 0.6, 0.0), (0.1, 0.1, 0.8, 0.3)
+HALF, TOGETHER = 0.5, 0.8  # of the shape: a smaller component that was cut speaks for its pieces, with this share
 LIFT = 2e-3  # diagonals that a ray starts before its point, so that it doesn't meet the surface it leaves
 TILT = 0.46  # radians by which the slanting rays of a side leave the vertical
 
@@ -48,12 +49,14 @@ def exposure(shape: Shape) -> Float32[np.ndarray, "P 3"]:
 def vote(
     shapes: Any, views: Sequence[Sequence[Alignment]], exposures: Sequence[np.ndarray], normal: Float[np.ndarray, " 3"],
     offset: float, parts: Sequence[np.ndarray], n_parts: int, pieces: Sequence[np.ndarray], whole: Sequence[np.ndarray],
+    components: Sequence[np.ndarray],
 ) -> list[Int[np.ndarray, " P"]]:  # fmt: skip
     """New part (P,) of every point of every shape, from the parts (P,) of like points of the other shapes.
 
     ``views`` hold the frames of all shapes, one voice each, whose mirror plane is ``normal · x = offset``;
-    ``exposures`` the ``exposure`` of every shape.  A point's vote is averaged with those of its neighbours and of its
-    piece, so borders stay short.  Needs two shapes at least.
+    ``exposures`` the ``exposure`` of every shape; ``components`` the connected component of every point.  A point's
+    vote is averaged with those of its neighbours, of its piece and of its component, so borders stay short.  Needs two
+    shapes at least.
     """
     electorates = [_Electorate(shapes, frames, exposures, normal, offset, parts) for frames in views]
     voted = []
@@ -63,13 +66,20 @@ def vote(
         present = shape.neighbours >= 0
         around = (own[shape.neighbours] * present[:, :, None]).sum(axis=1)
         around = around / np.maximum(present.sum(axis=1, keepdims=True), 1)
-        sums = np.stack([np.bincount(piece, column) for column in own.T], axis=1)
-        of_piece = (sums / np.maximum(np.bincount(piece), 1)[:, None])[piece]
+        of_piece = _mean_of(own, piece)
+        small = (np.bincount(components[t])[components[t]] < HALF * len(piece))[:, None]
+        of_piece = np.where(small, (1 - TOGETHER) * of_piece + TOGETHER * _mean_of(own, components[t]), of_piece)
         before = parts[t][:, None] == np.arange(n_parts)
         hears = np.where(whole[t][piece][:, None], COMPONENT_HEARS, PATCH_HEARS)
         heard = zip(hears.T[:, :, None], (own, around, of_piece, before), strict=True)
         voted.append(sum(loud * voice for loud, voice in heard).argmax(axis=1))
     return voted
+
+
+def _mean_of(votes: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Votes (P, L), each the mean of its group (P,)."""
+    sums = np.stack([np.bincount(group, column) for column in votes.T], axis=1)
+    return (sums / np.maximum(np.bincount(group), 1)[:, None])[group]
 
 
 class _Electorate:

@@ -10,7 +10,7 @@ from shapeforge.collection.align import Alignment
 from shapeforge.collection.prepare import prepare_shape
 from shapeforge.collection.shape import Mesh, Shape
 from shapeforge.deformation import voting
-from shapeforge.deformation.pieces import find_pieces
+from shapeforge.deformation.pieces import find_pieces, point_components
 from shapeforge.deformation.voting import exposure, vote
 
 LEG, TOP, SHELF = 0, 1, 2
@@ -41,7 +41,8 @@ def voted(tables, parts) -> list[np.ndarray]:
     shapes = [shape for shape, _ in tables]
     pieces, whole = zip(*[find_pieces(shape) for shape in shapes], strict=True)
     frames = [SAME] * len(shapes)
-    return vote(shapes, (frames,), [exposure(shape) for shape in shapes], *PLANE, parts, 3, pieces, whole)
+    exposures, components = [exposure(shape) for shape in shapes], [point_components(shape) for shape in shapes]
+    return vote(shapes, (frames,), exposures, *PLANE, parts, 3, pieces, whole, components)
 
 
 def test_a_top_sees_the_sky_and_a_shelf_does_not(tables):
@@ -78,3 +79,14 @@ def test_what_is_right_stays_right(tables):
     truths = [truth for _, truth in tables]
     for new, truth in zip(voted(tables, truths), truths, strict=True):
         assert (new == truth).mean() > 0.97
+
+
+def test_upper_ends_of_legs_that_most_call_tops_stay_with_their_legs(tables, monkeypatch):
+    """A post from the floor to the top is cut into patches, but hears what the rest of it is."""
+    truths = [truth for _, truth in tables]
+    wrong = [np.where((truth == LEG) & (shape.points[:, 1] > 0.1), TOP, truth) for shape, truth in tables[:3]]
+    post = truths[5] == LEG
+    together = (voted(tables, [*wrong, *truths[3:]])[5][post] == LEG).mean()
+    monkeypatch.setattr(voting, "TOGETHER", 0.0)
+    cut = (voted(tables, [*wrong, *truths[3:]])[5][post] == LEG).mean()
+    assert together > 0.98 and cut < together - 0.05
