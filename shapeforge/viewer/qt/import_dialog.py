@@ -84,7 +84,7 @@ class ImportDialog(QDialog):
         self.setWindowTitle("Import shapes")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setModal(True)
-        self.resize(960, 560)
+        self.resize(1000, 560)
         self.session, self.go, self.paths = session, go, paths
         self.seen: list[FilePreview] = []
         self.among = Usual()
@@ -134,7 +134,7 @@ class ImportDialog(QDialog):
         head = self.table.horizontalHeader()
         head.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         head.setHighlightSections(False)
-        for number, width in enumerate((290, 76, 190)):
+        for number, width in enumerate((280, 76, 222)):
             self.table.setColumnWidth(number, width)
         head.setSectionResizeMode(3, QHeaderView.ResizeMode.Stretch)
         self.table.itemChanged.connect(lambda _item: self._show_count())
@@ -146,7 +146,7 @@ class ImportDialog(QDialog):
         for one in news.states:
             self._add(one)
         among = usual(self.seen)
-        if news.outcome is not None or (among.unit, among.up) != (self.among.unit, self.among.up):
+        if news.outcome is not None or (among.units, among.up) != (self.among.units, self.among.up):
             self.among = among
             self._fill_all()
         if news.outcome is not None:
