@@ -293,7 +293,8 @@ class SliderView(_Watching):
 
         if self._sources is None:
             self._sources = sources_of(self.session.project)
-        made = synthesize(self.sculptor.points(), self.sculptor.exists(), self._sources)
+        sculptor = self.sculptor
+        made = synthesize(sculptor.points(), sculptor.exists(), self._sources, symmetric=sculptor.symmetric())
         self._show(View((self.sculptor.mesh_layer(made),)))
         self.words.value = escape(measure_words(made.measures))
         self.made = made

@@ -21,7 +21,7 @@ from shapeforge.generative.scales import Scales
 from shapeforge.generative.units import Direction, bundles, drive, drive_latents, single_units
 from shapeforge.synthesis.assemble import SynthesizedShape
 from shapeforge.synthesis.complete import completed_parts
-from shapeforge.synthesis.mirror import find_mirror
+from shapeforge.synthesis.mirror import Bend, find_mirror
 from shapeforge.synthesis.sources import touching_shares
 from shapeforge.viewer.display import MeshLayer, PointLayer
 from shapeforge.viewer.palette import label_colours
@@ -38,6 +38,8 @@ PERCENTILES = 3.29
 FARTHEST = 9.0
 """Standard deviations by which a slider may be set away from where the shape stands."""
 FOLLOWING = 11
+BENT = 0.005
+"""Diagonals that a part has to be bent somewhere to count as such."""
 FINER, UNITS = 8, 8
 """How many bundles and single units there are sliders for, below the project's directions."""
 
@@ -286,27 +288,51 @@ class Sculptor:
 
     def points(self, recipe: Recipe | None = None) -> Float[np.ndarray, "K 3"]:
         """Points (K, 3) of the shape in hand (or of a recipe), normal coordinates, NaN where a part is absent."""
-        latents = self.latents_in_hand(recipe)
+        latents, bend = self._in_hand(recipe)
+        points = self._positions(latents)
+        return points if bend is None else bend.moved(points)
+
+    def _positions(self, latents: Latents) -> Float[np.ndarray, "K 3"]:
         return np.asarray(self.machine.to_positions(decode(self.machine, latents), latents.exists)[0], np.float64)
 
     def latents_in_hand(self, recipe: Recipe | None = None) -> Latents:
         """The latents of the shape in hand (or of a recipe): sliders, switched parts and pins included."""
+        return self._in_hand(recipe)[0]
+
+    def symmetric(self, recipe: Recipe | None = None) -> Bool[np.ndarray, " L"]:
+        """Which parts (L,) of the shape in hand (or of a recipe) are made symmetric where the family has them so.
+
+        Not those that are bent, for points of one side that are pinned another way than those of the other.
+        """
+        latents, bend = self._in_hand(recipe)
+        found = np.ones(len(self.part_names), bool)
+        if bend is not None:
+            points = self._positions(latents)
+            found[self.part[np.linalg.norm(bend.moved(points) - points, axis=1) > BENT]] = False
+        return found
+
+    def bend(self, recipe: Recipe | None = None) -> Bend | None:
+        """How the shape in hand (or of a recipe) is bent beyond what its latents make of it; None where it is not."""
+        return self._in_hand(recipe)[1]
+
+    def _in_hand(self, recipe: Recipe | None) -> tuple[Latents, Bend | None]:
         source = self.session if recipe is None else recipe
         base = self.recipe.base if recipe is None else recipe.base
         settings = {index: value * self.unit(index) for index, value in source.sliders.items() if value}
         exists, pins = self.exists(recipe), self.pinned(recipe)
         _, found = drive_latents(self.machine, base, settings, exists, directions=self.directions)
         if not pins:
-            return found
+            return found, None
         key = exists.tobytes(), *(tuple(sorted(one.items())) for one in (settings, pins)), source.locked
         if self._followed[0] is not base or self._followed[1] != key:
             rows = self.rows[sorted(source.locked)] if source.locked else None
             # The same numbers each time: what follows a hand must not tremble.
             rng = np.random.default_rng(FOLLOWING)
-            at = np.asarray(self.machine.to_positions(decode(self.machine, found), exists[None])[0], np.float64)
-            held = self.mirror().with_twins(self.known(pins), at, self.part)
+            at, mirror, known = self._positions(found), self.mirror(), self.known(pins)
+            held = mirror.with_twins(known, at, self.part)
             followed = follow(self.machine, self.mixture, found, held, rng=rng, kept=rows)
-            self._followed = (base, key, followed)
+            bend = mirror.bend_apart(known, at, self._positions(followed), self.part)
+            self._followed = (base, key, (followed, bend))
         return self._followed[2]
 
     def pinned(self, recipe: Recipe | None = None) -> dict[int, Place]:

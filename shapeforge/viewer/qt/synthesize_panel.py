@@ -201,10 +201,9 @@ class SynthesizePlace:
     def _ask(self, *, preview: bool = False) -> None:
         if self.worker is None or not self._entered or not self.sculptor.has_machine or self.made is not None:
             return
-        recipe = self.sculptor.recipe
-        self.worker.ask(
-            Wish(self._wish, self.points, self.sculptor.exists(), preview, recipe.taken, recipe.route, recipe.union)
-        )
+        sculptor, recipe = self.sculptor, self.sculptor.recipe
+        how = recipe.taken, recipe.route, recipe.union, sculptor.symmetric()
+        self.worker.ask(Wish(self._wish, self.points, sculptor.exists(), preview, *how))
         self._show_words()
 
     def _read_mail(self) -> None:
