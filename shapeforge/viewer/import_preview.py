@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from shapeforge.collection.counts import grouped
 from shapeforge.collection.meshes import MeshError, find_meshes, read_mesh, repair_notes
 from shapeforge.collection.orient import orient
 from shapeforge.collection.prepare import normal_frame
@@ -183,13 +184,13 @@ def other_size_words(preview: FilePreview, among: Usual) -> str:
     if times == 1.0:
         return ""
     number, what = (times, "large") if times > 1 else (1 / times, "small")
-    return f"{float(f'{number:.2g}'):,.0f} times as {what} as the others".replace(",", "\u202f")
+    return f"{grouped(round(float(f'{number:.2g}')))} times as {what} as the others"
 
 
 def summary(seen: Sequence[FilePreview], up: str = "auto") -> str:
     """One sentence on all files seen so far: how many can be read, their unit, what is up, how many need a look."""
     read = [one for one in seen if not one.problem]
-    text = f"{len(read)} of {len(seen)} can be read"
+    text = f"{grouped(len(read))} of {grouped(len(seen))} can be read"
     among = usual(seen)
     if among.units:
         words = _either([UNIT_WORDS[unit] for unit in among.units])
@@ -197,7 +198,7 @@ def summary(seen: Sequence[FilePreview], up: str = "auto") -> str:
     if among.up is not None and among.up.startswith("turned") and up == "auto":
         text += f" · most are {among.up}"
     odd = sum(bool(doubts(one, among, up)) for one in read)
-    return text + (f" · {odd} need{'s' * (odd == 1)} a look" if odd else "")
+    return text + (f" · {grouped(odd)} need{'s' * (odd == 1)} a look" if odd else "")
 
 
 def upright_mesh(preview: FilePreview, up: str = "auto") -> Mesh:

@@ -8,6 +8,7 @@ import numpy as np
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QFrame, QWidget
 
+from shapeforge.collection.counts import counted, grouped
 from shapeforge.viewer.fit_display import sureness
 from shapeforge.viewer.fit_record import WATCHED_AT_MOST, FitRecord
 from shapeforge.viewer.palette import as_hex, tokens
@@ -52,7 +53,7 @@ class OffNote(QFrame):
         """
         super().__init__()
         self.setObjectName("note")
-        also = f" Also off on {len(others)} other shape{'s' * (len(others) != 1)}." if others else ""
+        also = f" Also off on {counted(len(others), 'other shape')}." if others else ""
         self.title = label(f"{part_name} switched off".capitalize(), "heading", wrap=True)
         self.text = label(f"{reason}{also}", "caption", wrap=True, tooltip=", ".join(others[:60]))
         self.override = button("Override", kind="link", tooltip=override[1])
@@ -216,7 +217,7 @@ def _part_row(record: FitRecord, part: int, on: bool, sure: float, source: str |
     The row of a part that is off can be clicked.
     """
     look, off_on = record.looks[0], record.off_on(part)
-    tooltip = f"Off on {len(off_on)} of {len(record.active)} shapes" if off_on else "On every shape"
+    tooltip = f"Off on {grouped(len(off_on))} of {counted(len(record.active), 'shape')}" if off_on else "On every shape"
     swatch = Swatch(as_hex(look.inks[part]))
     swatch.setEnabled(on)
     said = ElidedLabel(look.part_names[part], "" if on else "off", Qt.TextElideMode.ElideMiddle, about=tooltip)

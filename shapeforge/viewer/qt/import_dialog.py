@@ -20,6 +20,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from shapeforge.collection.counts import counted, grouped
 from shapeforge.viewer.import_preview import (
     FilePreview,
     Usual,
@@ -36,7 +37,7 @@ from shapeforge.viewer.qt import icons
 from shapeforge.viewer.qt.controls import Choice as Menu
 from shapeforge.viewer.qt.theme import colours
 from shapeforge.viewer.qt.thumbnails import Thumbnails
-from shapeforge.viewer.qt.widgets import ElidedLabel, button, column, grouped, label, row
+from shapeforge.viewer.qt.widgets import ElidedLabel, button, column, label, row
 from shapeforge.viewer.runner import Runner, sentence
 from shapeforge.viewer.session import Session
 
@@ -256,13 +257,15 @@ class ImportDialog(QDialog):
     def _show_count(self) -> None:
         count, of = len(self.ticked()), max((one.of for one in self.seen), default=0)
         if not self.done_reading:
-            self.title.setText(f"Looking at file {len(self.seen) + 1} of {of}…" if of else "Looking at the files…")
+            self.title.setText(
+                f"Looking at file {grouped(len(self.seen) + 1)} of {grouped(of)}…" if of else "Looking at the files…"
+            )
         else:
             self.title.setText(
                 "Nothing to import" if not any(not one.problem for one in self.seen) else "Import shapes"
             )
         self.said.setText(self.failed or (summary(self.seen, self.up) if self.seen else ""))
-        self.start.setText(f"Import {count} shape{'s' * (count != 1)}" if count else "Import")
+        self.start.setText(f"Import {counted(count, 'shape')}" if count else "Import")
         can = self.done_reading and count > 0
         self.start.setEnabled(can)
         why = "" if can else "Tick at least one file." if self.done_reading else "The files are still being looked at."

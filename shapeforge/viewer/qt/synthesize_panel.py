@@ -11,6 +11,7 @@ from PySide6.QtCore import QObject, Qt, Signal
 from PySide6.QtGui import QPixmap
 from PySide6.QtWidgets import QMenu, QWidget
 
+from shapeforge.collection.counts import counted
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.display import View
 from shapeforge.viewer.mesh_worker import Made, MeshWorker, Wish
@@ -380,7 +381,7 @@ class SynthesizePlace:
 
     def _show_history(self) -> None:
         recipes = self.sculptor.recipes
-        self.strip.caption.setText(f"{len(recipes)} shape{'s' * (len(recipes) != 1)}")
+        self.strip.caption.setText(counted(len(recipes), "shape"))
         self._made_of = {recipe: self._made_of[recipe] for recipe in recipes if recipe in self._made_of}
         self.strip.show_states([(recipe.label, "") for recipe in recipes], self.sculptor.done, self._picture)
         refresh(self.strip, self.session.theme)
