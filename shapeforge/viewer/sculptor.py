@@ -31,6 +31,7 @@ from shapeforge.viewer.recipe import Place
 from shapeforge.viewer.recipe import Recipe as Recipe
 from shapeforge.viewer.resemblance import blend, least_like, nearest_shape
 from shapeforge.viewer.session import Session
+from shapeforge.viewer.shape_history import ShapeHistory
 from shapeforge.viewer.slider_names import changes, choose_names, what_moves
 
 PERCENTILES = 3.29
@@ -44,7 +45,7 @@ FINER, UNITS = 8, 8
 """How many bundles and single units there are sliders for, below the project's directions."""
 
 
-class Sculptor:
+class Sculptor(ShapeHistory):
     """The learnt family of the session's project and the shape in hand.
 
     ``session.sliders``, ``parts_on``, ``pins`` and ``locked`` are the truth about sliders, parts and points
@@ -52,10 +53,8 @@ class Sculptor:
     """
 
     def __init__(self, session: Session) -> None:
-        self.session = session
+        super().__init__(session)
         self._key: Any = None
-        self.recipes: list[Recipe] = []
-        self.done = -1
         self.draws = 0
         self.directions: list[Direction] = []
         self.names: list[str] = []
@@ -154,84 +153,17 @@ class Sculptor:
     # ---- the shape in hand ---------------------------------------------------------------------------------------
 
     @property
-    def recipe(self) -> Recipe:
-        """The last recipe of the history that is in effect (its sliders as they were when it was kept)."""
-        return self.recipes[self.done]
-
-    def start(self, recipe: Recipe) -> None:
-        """Make another shape, as a new item of the history; what had been undone is forgotten."""
-        del self.recipes[self.done + 1 :]
-        self.recipes.append(recipe)
-        self.done = len(self.recipes) - 1
-        self._take_over(recipe)
-
-    def exchange(self, recipe: Recipe) -> None:
-        """Make another shape of the present item of the history."""
-        self.recipes[self.done] = recipe
-        self._take_over(recipe)
-
-    def keep(self, label: str) -> None:
-        """Keep the shape in hand (sliders, parts and pins as they are now) as a new item of the history."""
-        self.start(replace(self.recipe, label=label, **self._now()))
-
-    @property
     def as_kept(self) -> bool:
         """The shape in hand is as the history has it."""
         now, recipe = self._now(), self.recipe
         asked = ("sliders", "parts_on", "pins", *(["locked"] if self.pinned() else []))
         return all(now[name] == getattr(recipe, name) for name in asked)
 
-    def _now(self) -> dict[str, Any]:
-        session = self.session
-        return {
-            "sliders": dict(session.sliders), "parts_on": dict(session.parts_on), "pins": dict(session.pins),
-            "locked": session.locked,
-        }  # fmt: skip
-
     def take_part(self, part: int, name: str) -> None:
         """Ask for a part from the shape ``name`` ("": from the one that suits best again), as a new item."""
         taken = {l: n for l, n in self.recipe.taken.items() if l != part} | ({part: name} if name else {})
         self.keep(f"{self.part_names[part]} of {name or 'the nearest'}")
         self.recipes[self.done] = replace(self.recipe, taken=taken)
-
-    def make_by(self, route: str, union: bool) -> None:
-        """Make the mesh of the shape in hand in another way (see :class:`Recipe`), as a new item."""
-        if (route, union) == (self.recipe.route, self.recipe.union):
-            return
-        self.keep("new surface" if route == "surface" else "one solid" if union else "of parts")
-        self.recipes[self.done] = replace(self.recipe, route=route, union=union)
-
-    def go_to(self, index: int) -> None:
-        """Back (or forth) to an item of the history."""
-        index = min(max(index, 0), len(self.recipes) - 1)
-        if index != self.done:
-            self.done = index
-            self._take_over(self.recipe)
-
-    def _take_over(self, recipe: Recipe) -> None:
-        if recipe.pins:  # with other sliders locked it would be another shape
-            self.session.locked = recipe.locked
-        self.session.parts_on = dict(recipe.parts_on)
-        self.session.pins = dict(recipe.pins)
-        self.session.sliders = dict(recipe.sliders)
-
-    @property
-    def undo_label(self) -> str | None:
-        """What Undo would take back, None when nothing."""
-        return self.recipe.label if self.done > 0 else None
-
-    @property
-    def redo_label(self) -> str | None:
-        """What Redo would do again, None when nothing."""
-        return self.recipes[self.done + 1].label if self.done + 1 < len(self.recipes) else None
-
-    def undo(self) -> None:
-        """Back to the item before."""
-        self.go_to(self.done - 1)
-
-    def redo(self) -> None:
-        """Forth to the next item."""
-        self.go_to(self.done + 1)
 
     def unit(self, index: int) -> float:
         """One standard deviation of a slider, in the direction's own units."""

@@ -14,6 +14,7 @@ from shapeforge.collection.counts import counted
 from shapeforge.viewer.display import Caption, Display, Mark, MeshLayer, PointLayer, View
 from shapeforge.viewer.mesh_worker import Made
 from shapeforge.viewer.palette import heat
+from shapeforge.viewer.recipe import Recipe
 from shapeforge.viewer.sculptor import Sculptor
 
 Layer = MeshLayer | PointLayer
@@ -52,6 +53,13 @@ def display(
         words = pins if n_pins else "Drag a handle on the shape, the rest follows"
         captions.append(Caption("bottom left", ((words, "faint"),)))
     return Display((View(layers, marks, tuple(captions), moves=moves),))
+
+
+def small_view(sculptor: Sculptor, recipe: Recipe, made: Made | None) -> View:
+    """A shape of the history for a small picture: its mesh, or its points while there is none."""
+    if made is not None:
+        return View((sculptor.mesh_layer(made.shape),))
+    return View((sculptor.points_layer(sculptor.points(recipe), 2.0),))
 
 
 def origin_words(sources: tuple[str, ...]) -> str:
