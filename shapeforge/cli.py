@@ -291,11 +291,12 @@ def synthesize(
     other options that are not given stay as in the last run.
     """
     if recipe:
+        from shapeforge.collection.counts import counted
         from shapeforge.stages_recipes import remake_files
         from shapeforge.store import Project
 
         files = remake_files(Project.open(path), recipe, out, format or "glb")
-        typer.echo(f"synthesize: {len(files)} shapes made again in {out}")
+        typer.echo(f"synthesize: {counted(len(files), 'shape')} made again in {out}")
         if as_json:
             names = [str(file) for file in files]
             print_json({"verb": "synthesize", "project": str(path), "out": str(out), "files": names})

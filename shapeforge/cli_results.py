@@ -112,7 +112,7 @@ def info(path: ProjectPath, as_json: Json = False) -> None:
     from rich.table import Table
 
     from shapeforge import stages
-    from shapeforge.stages_status import counted
+    from shapeforge.collection.counts import counted
     from shapeforge.store import Project
 
     project = Project.open(path)

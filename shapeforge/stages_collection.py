@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from shapeforge.collection.counts import counted
 from shapeforge.collection.labels import LABELS_FILE, PartNames
 from shapeforge.stages import Progress, StageError, Task
-from shapeforge.stages_status import REVISION, counted, options_of
+from shapeforge.stages_status import REVISION, options_of
 from shapeforge.store import Problem, Project, key_of
 from shapeforge.store_arrays import read_record, write_record
 from shapeforge.store_results import write_names

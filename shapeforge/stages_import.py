@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from shapeforge.collection.counts import counted
 from shapeforge.stages import Progress, StageError, Task
 from shapeforge.stages_pose import BY_HAND, settle_poses, turned_key
-from shapeforge.stages_status import counted
 from shapeforge.store import Problem, Project, key_of
 from shapeforge.store_arrays import copy_file
 
@@ -75,7 +75,7 @@ def import_meshes(task: Task) -> Iterator[Progress]:
         if time.monotonic() - saved > SECONDS_BETWEEN_SAVES:
             project.add_shapes(records)
             records, saved = {}, time.monotonic()
-        message = f"{reading.name}: {record['n_faces']} faces" if record else str(found_problems[0])
+        message = f"{reading.name}: {counted(record['n_faces'], 'face')}" if record else str(found_problems[0])
         problem = found_problems[0] if found_problems else None
         yield task.progress("read", step + 1, total, message, problem=problem)
     project.add_shapes(records)

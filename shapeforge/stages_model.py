@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from shapeforge.collection.counts import counted
 from shapeforge.stages import Progress, StageError, Task
 from shapeforge.stages_collection import read_proposal
 from shapeforge.stages_status import first_parts, starts_from_proposal
@@ -91,7 +92,7 @@ def fit(task: Task) -> Iterator[Progress]:
     yield from write_shapes(task, folder, state, hierarchy)
     write_record(folder / "fit.zarr.zip", state)
     checkpoint.unlink(missing_ok=True)
-    text = f"{state.round} rounds, {len(hierarchy.top.label)} corresponding points"
+    text = f"{state.round} rounds, {counted(len(hierarchy.top.label), 'corresponding point')}"
     text += f", {hierarchy.levels} levels of templates" if hierarchy.levels > 2 else ""
     task.summary |= {
         "text": text, "rounds": state.round, "energy": _number(state.energy), "stop_reason": state.stop_reason,
@@ -290,7 +291,7 @@ def learn_into(
     error = _number(state.held_out_error)
     which, error = ("held-out", error) if error is not None else ("training", _number(state.train_error))
     number = len(names) if split is None else len(split[0])
-    text = f"{number} shapes, {which} error {error:.4f} diagonals" if error is not None else f"{number} shapes"
+    text = counted(number, "shape") + (f", {which} error {error:.4f} diagonals" if error is not None else "")
     task.summary |= {
         "text": text, "shapes": number, "points": positions.shape[1], "epochs": state.epoch,
         "train_error": _number(state.train_error), "held_out_error": _number(state.held_out_error),
@@ -325,6 +326,7 @@ def curve(project: Project, *, seed: int = 0, jobs: int | None = None) -> Iterat
         rng = np.random.default_rng(seed)
         for point in learning_curve(observations, rng=rng, held_out=held_out, executor=workers):
             found.append(point)
-            text = f"from {point.shapes} shapes: {100 * point.held_out_error:.2f}% of their size on those held out"
+            error = f"{100 * point.held_out_error:.2f}% of their size on those held out"
+            text = f"from {counted(point.shapes, 'shape')}: {error}"
             yield Progress("learn", "curve", len(found), len(SHARES), text, state=list(found))
     yield Progress("learn", "curve", len(found), len(found), more_shapes(found)[1], state=found)

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from shapeforge.collection.counts import counted
 from shapeforge.collection.labels import PartNames, write_part_names, write_seg
 from shapeforge.collection.shape import Shape
 from shapeforge.stages import Progress, StageError, refresh
-from shapeforge.stages_status import counted
 from shapeforge.stages_synthesis import fitted_part_names
 from shapeforge.store import Problem, Project
 from shapeforge.store_arrays import clear_disk_errors, replacing, write_text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,7 @@ def remake(project: Project, recipe: Mapping[str, Any], sources: Any = None) -> 
     """
     from shapeforge.generative.inference import Latents
     from shapeforge.stages_synthesis import mesh_maker, sources_of
+    from shapeforge.synthesis.mirror import Bend
 
     machine = project.machine()
     if machine is None or project.machine_id != recipe["machine"] or project.fit_id != recipe["fit"]:
@@ -83,9 +85,12 @@ def remake(project: Project, recipe: Mapping[str, Any], sources: Any = None) -> 
     shapes = np.array([sources.names.index(name) if name else -1 for name in taken])
     with threadpool_limits(1, "blas"):  # as the stage does it: sums on several threads round otherwise
         points = points_of(machine, Latents(hidden, exists[None]))
+        if bent := recipe.get("bend"):
+            points = Bend(np.array(bent["centres"]), np.array(bent["heights"]), bent["width"]).moved(points)
         route = recipe.get("route", "parts")
-        make = mesh_maker(sources, route, union=recipe.get("union", False))
-        return make(points, exists) if route == "surface" else make(points, exists, shapes=shapes)
+        make = partial(mesh_maker(sources, route, union=recipe.get("union", False)), points, exists)
+        symmetric = np.array([name not in recipe.get("unsymmetric", []) for name in sources.part_names])
+        return make(symmetric=symmetric) if route == "surface" else make(shapes=shapes, symmetric=symmetric)
 
 
 def points_of(machine: Any, latents: Any) -> Float[np.ndarray, "K 3"]:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from shapeforge.collection.counts import counted, grouped
 from shapeforge.stages import Progress, StageError, Task
 from shapeforge.stages_model import (
     learn_into,
@@ -89,7 +90,7 @@ def refine(task: Task) -> Iterator[Progress]:
         yield task.progress("alternate", number, of, f"goes on after alternation {number}", state=state)
     else:
         state, positions = project.fit(), stacked_positions(project, names)
-        for progress in learnt(positions, None, f"{len(judges)} shapes set aside"):
+        for progress in learnt(positions, None, f"{counted(len(judges), 'shape')} set aside"):
             yield progress
         machine = progress.state.machine
         save()
@@ -107,7 +108,7 @@ def refine(task: Task) -> Iterator[Progress]:
         before, after = misfits(state), misfits(refined)
         if not mostly_falls(before, after):
             number += 1
-            refused = f"templates lie worse on {(after > before).sum()} of {len(names)} shapes"
+            refused = f"templates lie worse on {grouped((after > before).sum())} of {counted(len(names), 'shape')}"
             save()
             break
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from shapeforge.collection.counts import counted
 from shapeforge.store import Project, key_of
 
 STAGES: tuple[str, ...] = ("import", "group", "label", "cosegment", "fit", "learn", "refine", "synthesize")
@@ -276,11 +277,6 @@ def _short(value: Any) -> str:
     """An option's value for a line of text: lists of shapes may be long."""
     text = str(value)
     return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 1]}…"
-
-
-def counted(number: int, what: str) -> str:
-    """A number of things in words: 1 shape, 2 shapes."""
-    return f"{number} {what}{'s' * (number != 1)}"
 
 
 def lost_results(project: Project, stage: str, record: Mapping[str, Any] | None) -> str:

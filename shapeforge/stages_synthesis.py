@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from shapeforge.collection.colours import inks_of
+from shapeforge.collection.counts import counted
 from shapeforge.collection.labels import PartNames, write_part_names, write_seg
 from shapeforge.stages import Progress, StageError, Task
 from shapeforge.store import Project
@@ -116,7 +117,7 @@ def _as_used(drawn: Any, used: Sequence[tuple[np.ndarray, np.ndarray, list]]) ->
 
 def _told(measures: Mapping[str, Mapping[str, Any]], out: Path) -> str:
     """What was made, in a sentence, from the ``measures`` of every shape."""
-    text = f"{len(measures)} shapes in {out}"
+    text = f"{counted(len(measures), 'shape')} in {out}"
     for key, words in TOLD.items():
         number = sum(key in found for found in measures.values())
         if number:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from shapeforge.collection.counts import counted
 from shapeforge.collection.labels import LabelError, PartNames, find_part_names, read_seg
 from shapeforge.collection.shape import Mesh
 from shapeforge.stages import Progress, StageError, refresh
@@ -103,7 +104,7 @@ def validate(
         figures["undone"] = undone
     if matched is not None:
         figures["proposed_parts_are"] = matched
-    text = f"compared with truth; {len(evidence)} shapes that gave evidence are left out"
+    text = f"compared with truth without {counted(len(evidence), 'shape')} that gave evidence"
     yield Progress("validate", "done", 1, 1, text, state=figures)
 
 
@@ -215,15 +216,15 @@ def table(figures: Mapping[str, Any]) -> str:
     if segmentation:
         theirs = segmentation.get("affine_transfer", {})
         for key, words in (("faces", "faces"), ("area", "area"), ("part_iou", "part IoU")):
-            add(words, segmentation.get(key), theirs.get(key), f"{segmentation['n']} shapes")
+            add(words, segmentation.get(key), theirs.get(key), counted(segmentation["n"], "shape"))
     if correspondence:
         theirs = correspondence.get("affine_transfer", {}).get("corr", {})
         for radius in RADII_SHOWN:
-            n = f"{correspondence['n']} landmarks of {correspondence['n_pairs']} pairs"
+            n = f"{counted(correspondence['n'], 'landmark')} of {counted(correspondence['n_pairs'], 'pair')}"
             add(f"corr@{radius}", correspondence["corr"].get(radius), theirs.get(radius), n)
     classification = figures.get("classification")
     if classification:
-        add("fine classes, 1-NN", classification.get("accuracy"), None, f"{classification['n']} shapes")
+        add("fine classes, 1-NN", classification.get("accuracy"), None, counted(classification["n"], "shape"))
     lines = [format_table(("measure", "ours", "affine transfer", "n"), rows)]
     left_out = figures.get("left_out") or []
     if left_out:

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from shapeforge.collection import _kernels_polygons as kernels
+from shapeforge.collection.counts import counted
 from shapeforge.collection.materials import PLAIN, gltf_colours, obj_colours, obj_vertex_colours, of_corners
 from shapeforge.collection.mesh_files import write_mesh
 from shapeforge.collection.records import CUT_SHORT, EXPORT_AGAIN, MeshError, Records, read_obj, read_off, read_ply
@@ -158,11 +159,11 @@ def repair_notes(mesh: Mesh) -> tuple[str, ...]:
     areas = mesh.face_areas
     flat = int(np.count_nonzero(areas <= 1e-14 * areas.sum()))
     if flat:
-        notes.append(f"{flat} face{'s' * (flat > 1)} without area, ignored")
+        notes.append(f"{counted(flat, 'face')} without area, ignored")
     corners = np.sort(mesh.triangles, axis=1)
     repeated = len(corners) - len(np.unique(corners, axis=0))
     if repeated:
-        notes.append(f"{repeated} triangle{'s' * (repeated > 1)} drawn twice, counted twice")
+        notes.append(f"{counted(repeated, 'triangle')} drawn twice, counted twice")
     return tuple(notes)
 
 

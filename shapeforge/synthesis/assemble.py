@@ -61,7 +61,8 @@ class SynthesizedShape:
 
 def synthesize(
     points: Float[np.ndarray, "K 3"], exists: Bool[np.ndarray, " L"], sources: Sources, *, preview: bool = False,
-    shapes: Int[np.ndarray, " L"] | None = None, fixed: Mapping[int, int] | None = None, symmetric: bool = True,
+    shapes: Int[np.ndarray, " L"] | None = None, fixed: Mapping[int, int] | None = None,
+    symmetric: bool | Bool[np.ndarray, " L"] = True,
 ) -> SynthesizedShape:  # fmt: skip
     """The mesh of one draw: ``points`` in normal coordinates (NaN where absent), ``exists`` per part.
 
@@ -69,7 +70,7 @@ def synthesize(
     ``shapes`` (index of a training shape per part, -1 none) replaces the retrieval: keep it while a slider moves and
     the parts don't flicker.
     ``fixed`` {part: training shape} is for the retrieval, which then chooses the other parts to go with these.
-    What the family has ``symmetric`` comes out so, whatever the draw.
+    What the family has ``symmetric`` comes out so, whatever the draw; or those of its parts (L,) that are to.
     A part that no training shape offers is left out, its source "".
     """
     if points.shape != (len(sources.part), 3) or exists.shape != (sources.n_parts,):
@@ -77,8 +78,7 @@ def synthesize(
             f"points, exists: wanted ({len(sources.part)}, 3) and ({sources.n_parts},), got {points.shape} and "
             f"{exists.shape}. Do the draw and the sources come from the same fit?"
         )
-    if symmetric:
-        points = sources.mirror.made_symmetric(points, sources.part)
+    points = as_symmetric(points, sources, symmetric)
     if shapes is not None:
         return _merge(put_together(points, exists, sources, shapes, preview), sources)
     barred: set[tuple[int, int]] = set()
@@ -98,6 +98,14 @@ def synthesize(
             worse = max(pair, key=lambda l: float(_misses(parts.bent[l]).mean()))
             barred.add((worse, int(shapes[worse])))
     return _merge(best, sources)
+
+
+def as_symmetric(
+    points: Float[np.ndarray, "K 3"], sources: Sources, symmetric: bool | Bool[np.ndarray, " L"]
+) -> Float[np.ndarray, "K 3"]:
+    """A draw as symmetric as the family is: all of it, nothing of it, or these parts (L,)."""
+    wanted = np.broadcast_to(np.asarray(symmetric), (sources.n_parts,))
+    return sources.mirror.made_symmetric(points, sources.part, wanted) if wanted.any() else points
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,8 +19,36 @@ ON_PLANE = 0.02
 """A point so near (diagonals) to the plane is on it."""
 USUALLY, FEWEST_SHAPES = 0.75, 3
 """A point is always on one side if it is OFF the plane there on at least this share, and number, of the shapes."""
+OPPOSITE, UNLIKE = 0.1, 0.01
+"""A held point so near (diagonals) to another's twin speaks for it; so far apart two such are not held alike."""
+BEND, STEEP = 0.1, 0.5
+"""Width (diagonals) of a bend, wider where it moves a point farther: by at most this share of its width."""
 BOX, OFF = 0.06, 0.05
 """Boxes of opposite parts agree so far once mirrored, and their middles are so far off the plane (diagonals)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bend:
+    """Moves points near ``centres`` (n, 3): by a sum of bells of one ``width`` there, as high as ``heights`` (n, 3)."""
+
+    centres: Float[np.ndarray, "n 3"]
+    heights: Float[np.ndarray, "n 3"]
+    width: float
+
+    @classmethod
+    def through(cls, centres: Float[np.ndarray, "n 3"], ways: Float[np.ndarray, "n 3"]) -> Bend:
+        """The one that moves the centres by these ``ways`` (n, 3), wide enough to fold nothing."""
+        width = max(BEND, float(np.linalg.norm(ways, axis=1).max()) / STEEP)
+        bells = _bells(centres, centres, width) + 1e-3 * np.eye(len(centres))  # two in one place may disagree
+        return cls(centres, np.linalg.solve(bells, ways), width)
+
+    def moved(self, points: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K 3"]:
+        """The points (K, 3; NaN where absent) after it."""
+        return points + _bells(points, self.centres, self.width) @ self.heights
+
+
+def _bells(points: np.ndarray, centres: np.ndarray, width: float) -> np.ndarray:
+    return np.exp(-(((points[:, None] - centres) / width) ** 2).sum(axis=2) / 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +79,16 @@ class FamilyMirror:
             return float(along[there].min() + along[there].max()) / 2 if there.any() else 0.0
         return float(np.median((along + along[self.partner] - self.shift @ self.normal)[paired])) / 2
 
-    def made_symmetric(self, points: Float[np.ndarray, "K 3"], part: Int[np.ndarray, " K"]) -> np.ndarray:
+    def made_symmetric(
+        self,
+        points: Float[np.ndarray, "K 3"],
+        part: Int[np.ndarray, " K"],
+        wanted: Bool[np.ndarray, " L"] | None = None,
+    ) -> np.ndarray:
         """The draw (K, 3) half-way to its mirror image, in the parts that the family has symmetric.
 
         A part that would have to move more than SYMMETRIC for it is not as on most shapes, and stays: twin fins in a
-        family of single ones.
+        family of single ones.  So does one that is not ``wanted`` symmetric (L,).
         """
         points = self.on_both_sides(points, part)
         there = np.isfinite(points).all(axis=1)
@@ -66,7 +99,8 @@ class FamilyMirror:
         length = np.bincount(part, np.linalg.norm(way, axis=1), n_parts) / np.maximum(
             np.bincount(part, paired, n_parts), 1
         )
-        return points + np.where((length <= SYMMETRIC)[part][:, None], way, 0.0)
+        moved = length <= SYMMETRIC if wanted is None else (length <= SYMMETRIC) & wanted
+        return points + np.where(moved[part][:, None], way, 0.0)
 
     def with_twins(
         self, held: Float[np.ndarray, "K 3"], points: Float[np.ndarray, "K 3"], part: Int[np.ndarray, " K"]
@@ -74,17 +108,46 @@ class FamilyMirror:
         """Where points are held (K, 3; NaN where free), and their partners in the mirror image of that.
 
         Of a shape whose ``points`` are these.  What is pulled on one side only, the symmetry would halve.  A point on
-        the plane has no partner: it is held where its mirror image is, too.  Where both of a pair are held, both stay
-        as they are, and so do points of parts that the family does not have symmetric.
+        the plane has no partner: it is held where its mirror image is, too.  Where the partner, or a point of its part
+        next to it, is held as well, both stay as they are, and so do points of parts that are not symmetric.
         """
         found, place = np.array(held, float), self.place(points, part)
-        for k in np.flatnonzero(np.isfinite(held).all(axis=1) & self.symmetric[part]):
+        for k in np.flatnonzero(np.isfinite(held).all(axis=1) & self.symmetric[part]).tolist():
             twin = self.partner[k]
             if twin == k or abs(points[k] @ self.normal - place) < ON_PLANE:
                 found[k] -= (found[k] @ self.normal - place) * self.normal
-            elif np.isfinite(points[twin]).all() and not np.isfinite(held[twin]).all():
+            elif np.isfinite(points[twin]).all() and not len(self._opposite(k, held, points, part)):
                 found[twin] = mirrored((held[k] - self.shift[k])[None], self.normal, place)[0]
         return found
+
+    def bend_apart(
+        self, held: Float[np.ndarray, "K 3"], points: Float[np.ndarray, "K 3"], reached: Float[np.ndarray, "K 3"],
+        part: Int[np.ndarray, " K"],
+    ) -> Bend | None:  # fmt: skip
+        """What brings points that are held (NaN where free) another way on one side than on the other to their places.
+
+        Of a shape that had these ``points`` and has ``reached`` others following them: what the family has symmetric
+        meets both half-way, so they are bent to where they are held.  None where nothing is held so.
+        """
+        way, apart = held - points, set()
+        for k in np.flatnonzero(np.isfinite(way).all(axis=1) & self.symmetric[part]).tolist():
+            for other in self._opposite(k, held, points, part)[:1].tolist():
+                if np.linalg.norm(way[k] - self._image(way[other])) > UNLIKE:
+                    apart |= {k, other}
+        at = sorted(apart)
+        return Bend.through(reached[at], (held - reached)[at]) if at else None
+
+    def _image(self, way: np.ndarray) -> np.ndarray:
+        return way - 2 * (way @ self.normal) * self.normal
+
+    def _opposite(self, k: int, held: np.ndarray, points: np.ndarray, part: np.ndarray) -> Int[np.ndarray, " n"]:
+        """Points held at or about the partner of point k, the nearest first: of its part, on its side of the plane."""
+        twin = self.partner[k]
+        along = (points - points[twin]) @ self.normal
+        beyond = along * along[k] < along[k] ** 2 / 2  # nearer to the partner's side than to that of k
+        away = np.linalg.norm(points - points[twin], axis=1)
+        found = np.flatnonzero(np.isfinite(held).all(axis=1) & (part == part[twin]) & (away < OPPOSITE) & beyond)
+        return found[np.argsort(away[found], kind="stable")]
 
     def on_both_sides(self, points: Float[np.ndarray, "K 3"], part: Int[np.ndarray, " K"]) -> np.ndarray:
         """The draw (K, 3), where a part that the family has on both sides is not left on one of them.

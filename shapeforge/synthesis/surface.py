@@ -19,7 +19,7 @@ from scipy.sparse import csr_array
 
 from shapeforge.collection.materials import PLAIN
 from shapeforge.collection.surface import SearchedMesh, closest_points
-from shapeforge.synthesis.assemble import SynthesizedShape, put_together
+from shapeforge.synthesis.assemble import SynthesizedShape, as_symmetric, put_together
 from shapeforge.synthesis.bending import BentPart, bend, start_part
 from shapeforge.synthesis.closing import closed_solids
 from shapeforge.synthesis.distance_field import signed_distance
@@ -69,7 +69,7 @@ class _Lattice:
 
 def synthesize_surface(
     points: Float[np.ndarray, "K 3"], exists: Bool[np.ndarray, " L"], sources: Sources, *,
-    cell: float | None = None, symmetric: bool = True,
+    cell: float | None = None, symmetric: bool | Bool[np.ndarray, " L"] = True,
 ) -> SynthesizedShape:  # fmt: skip
     """A new closed mesh for a draw; ``points`` in normal coordinates, NaN where absent.
 
@@ -83,8 +83,7 @@ def synthesize_surface(
             f"{exists.shape}. Do the draw and the sources come from the same fit?"
         )
     points = np.where(exists[sources.part][:, None], np.asarray(points, float), np.nan)
-    if symmetric:
-        points = sources.mirror.made_symmetric(points, sources.part)
+    points = as_symmetric(points, sources, symmetric)
     shapes = retrieve(points, exists, sources).shape
     bent = put_together(points, exists, sources, shapes, preview=False).bent
     if not bent:

@@ -1,7 +1,8 @@
-"""What an import would read, before it is one: each file's faces, size, likely unit and which way seems to be up."""
+"""What an import would read, before it is one: each file's faces, size, possible units and which way seems to be up."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -10,13 +11,18 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from shapeforge.collection.counts import grouped
 from shapeforge.collection.meshes import MeshError, find_meshes, read_mesh, repair_notes
 from shapeforge.collection.orient import orient
 from shapeforge.collection.prepare import normal_frame
 from shapeforge.collection.shape import Mesh
 
-UNITS: tuple[tuple[str, float, float], ...] = (("m", 0.05, 12.0), ("cm", 12.0, 350.0), ("mm", 350.0, 12000.0))
-"""Unit and the longest extents (from, to) at which it is the likely one for furniture, tools and vehicles."""
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+"""The units that are told apart, in metres."""
+SMALLEST, LARGEST = 0.1, 80.0
+"""Longest extents (metres) of things, from cups to airliners; where several units make it such, size does not tell."""
+STATED = {".glb": "m", ".gltf": "m"}
+"""Formats that are in one unit by their specification."""
 UNIT_WORDS = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
 OTHER_UNIT = 8.0
 """So many times as large or small as the middle of its folder a file is in another unit: the next is 10 times."""
@@ -26,8 +32,8 @@ OTHER_UNIT = 8.0
 class FilePreview:
     """One file: what was read, or why it was not (``problem`` and ``remedy``).
 
-    ``size`` (3,) is width, height, depth in the file's unit once turned; ``unit`` what is likely for the file by itself
-    (see ``Usual`` for all of them); ``rotation`` what "auto" would turn it by, as
+    ``size`` (3,) is width, height, depth in the file's unit once turned; ``units`` those that are possible for the
+    file by itself, the likeliest first (see ``Usual`` for all of them); ``rotation`` what "auto" would turn it by, as
     it stands alone: at the end of the import the files agree among themselves.  ``of`` is how many files there are.
     """
 
@@ -36,7 +42,7 @@ class FilePreview:
     of: int
     n_faces: int = 0
     size: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    unit: str = ""
+    units: tuple[str, ...] = ()
     up: str = ""
     notes: tuple[str, ...] = ()
     problem: str = ""
@@ -63,29 +69,40 @@ def preview_file(name: str, path: Path, of: int = 1) -> FilePreview:
         return FilePreview(name, path, of, problem=f"cannot be prepared ({error})", remedy="Repair it in a mesh editor")
     extent = np.ptp(mesh.vertices[np.unique(mesh.triangles)] @ rotation.T, axis=0)
     size = (float(extent[0]), float(extent[1]), float(extent[2]))
-    return FilePreview(name, path, of, int(mesh.n_faces), size, likely_unit(max(size)), up, repair_notes(mesh),
+    units = possible_units(max(size), _stated_unit([path]))
+    return FilePreview(name, path, of, int(mesh.n_faces), size, units, up, repair_notes(mesh),
                        mesh=mesh, rotation=rotation)  # fmt: skip
 
 
-def likely_unit(longest: float) -> str:
-    """The unit that makes a longest extent that of a thing for people: "m", "cm" or "mm"; "" when none does.
+def possible_units(longest: float, stated: str | None = None) -> tuple[str, ...]:
+    """The units in which a longest extent is that of a thing, the one that makes it nearest to a metre first.
 
-    Extents of exactly one are no unit at all: such files were scaled.
+    None of them for extents of exactly one: such files were scaled.  ``stated`` is the unit of the file's format.
     """
     if abs(longest - 1.0) < 1e-3:
-        return ""
-    return next((unit for unit, low, high in UNITS if low <= longest < high), "")
+        return ()
+    if stated is not None:
+        return (stated,)
+    fits = [unit for unit, metres in METRES.items() if SMALLEST <= longest * metres < LARGEST]
+    return tuple(sorted(fits, key=lambda unit: abs(math.log(longest * METRES[unit]))))
+
+
+def _stated_unit(paths: Sequence[Path]) -> str | None:
+    """The unit that the formats of all these files are in."""
+    stated = {STATED.get(path.suffix.lower()) for path in paths}
+    return stated.pop() if len(stated) == 1 else None
 
 
 @dataclass(frozen=True)
 class Usual:
-    """What files that belong together have in common, each as more than half of them have it by themselves.
+    """What files that belong together have in common.
 
-    ``unit`` and ``up`` are None where there is no such: then each file has its own.  ``middle`` is the median of the
-    longest extents of the files that agree on the unit.
+    Where more than half are of about one size, ``middle`` is the median of their longest extents and ``units`` are
+    those that are possible for it, the likeliest first; ``up`` is what more than half have by themselves.  ``units``
+    and ``up`` are None where there is no such: then each file has its own.
     """
 
-    unit: str | None = None
+    units: tuple[str, ...] | None = None
     middle: float = 0.0
     up: str | None = None
 
@@ -95,14 +112,14 @@ class Usual:
         What is merely a little larger than the others is in their unit, even where by itself it had another one.
         """
         longest = max(preview.size)
-        if self.unit is None or longest <= 0:
+        if self.units is None or longest <= 0:
             return 1.0
         times = longest / self.middle
         return times if max(times, 1 / times) >= OTHER_UNIT else 1.0
 
-    def of(self, preview: FilePreview) -> str:
-        """The unit of a file among the others."""
-        return preview.unit if self.unit is None or self.times(preview) != 1.0 else self.unit
+    def of(self, preview: FilePreview) -> tuple[str, ...]:
+        """The possible units of a file among the others."""
+        return preview.units if self.units is None or self.times(preview) != 1.0 else self.units
 
     def is_other_way_up(self, preview: FilePreview) -> bool:
         """Whether another direction of the file seems to be up than of most; without a majority, than y."""
@@ -110,12 +127,25 @@ class Usual:
 
 
 def usual(seen: Sequence[FilePreview]) -> Usual:
-    """What most files agree on.  "" (such files were scaled) is agreed on like a unit."""
+    """What most files agree on."""
     read = [one for one in seen if not one.problem]
-    unit, up = _majority([one.unit for one in read]), _majority([one.up for one in read])
-    if unit is None:
+    up = _majority([one.up for one in read])
+    kin = _alike([max(one.size) for one in read])
+    if 2 * len(kin) <= len(read):
         return Usual(up=up)
-    return Usual(unit, float(np.median([max(one.size) for one in read if one.unit == unit])), up)
+    middle = float(np.median([max(read[i].size) for i in kin]))
+    return Usual(possible_units(middle, _stated_unit([read[i].path for i in kin])), middle, up)
+
+
+def _alike(longest: Sequence[float]) -> list[int]:
+    """The largest set of files that are less than OTHER_UNIT times as large or small as one of them."""
+    if not len(longest):
+        return []
+    sizes = np.sort(longest)
+    first, end = np.searchsorted(sizes, sizes / OTHER_UNIT, "right"), np.searchsorted(sizes, sizes * OTHER_UNIT)
+    most = int((end - first).argmax())
+    low, high = sizes[first[most]], sizes[end[most] - 1]
+    return [i for i, one in enumerate(longest) if low <= one <= high]
 
 
 def _majority(words: Sequence[str]) -> str | None:
@@ -137,10 +167,15 @@ def doubts(preview: FilePreview, among: Usual, up: str = "auto") -> tuple[str, .
 
 
 def size_words(preview: FilePreview, among: Usual | None = None) -> str:
-    """Width × height × depth with the likely unit, "?" since it is a guess: "0.5 × 0.9 × 0.6 m?"."""
+    """Width × height × depth in the possible units, none being sure: "0.5 × 0.9 × 0.6 m?", "9 × 35 × 9 cm or m?"."""
     words = " × ".join(f"{value:.3g}" for value in preview.size)
-    unit = (among or Usual()).of(preview)
-    return f"{words} {unit}?" if unit else words
+    units = (among or Usual()).of(preview)
+    return f"{words} {_either(units)}?" if units else words
+
+
+def _either(words: Sequence[str]) -> str:
+    """One of some words: "cm, mm or m"."""
+    return " or ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def other_size_words(preview: FilePreview, among: Usual) -> str:
@@ -149,20 +184,21 @@ def other_size_words(preview: FilePreview, among: Usual) -> str:
     if times == 1.0:
         return ""
     number, what = (times, "large") if times > 1 else (1 / times, "small")
-    return f"{float(f'{number:.2g}'):,.0f} times as {what} as the others".replace(",", "\u202f")
+    return f"{grouped(round(float(f'{number:.2g}')))} times as {what} as the others"
 
 
 def summary(seen: Sequence[FilePreview], up: str = "auto") -> str:
     """One sentence on all files seen so far: how many can be read, their unit, what is up, how many need a look."""
     read = [one for one in seen if not one.problem]
-    text = f"{len(read)} of {len(seen)} can be read"
+    text = f"{grouped(len(read))} of {grouped(len(seen))} can be read"
     among = usual(seen)
-    if among.unit:
-        text += f" · sizes look like {UNIT_WORDS[among.unit]}"
+    if among.units:
+        words = _either([UNIT_WORDS[unit] for unit in among.units])
+        text += f" · sizes look like {words}" if len(among.units) == 1 else f" · sizes may be {words}"
     if among.up is not None and among.up.startswith("turned") and up == "auto":
         text += f" · most are {among.up}"
     odd = sum(bool(doubts(one, among, up)) for one in read)
-    return text + (f" · {odd} need{'s' * (odd == 1)} a look" if odd else "")
+    return text + (f" · {grouped(odd)} need{'s' * (odd == 1)} a look" if odd else "")
 
 
 def upright_mesh(preview: FilePreview, up: str = "auto") -> Mesh:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.ndimage import gaussian_filter
@@ -134,6 +136,19 @@ def place_camera(
     camera.SetViewUp(0, 1, 0)
     camera.SetParallelScale(scale)
     camera.SetClippingRange(0.5, 6.0)
+
+
+def direction_from(azimuth: float | int, elevation: float | int) -> tuple[float, float, float]:
+    """Towards a viewer at ``azimuth`` degrees (0 is the front, +z) and ``elevation`` degrees above the floor."""
+    a, e = math.radians(azimuth), math.radians(elevation)
+    return math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)
+
+
+def angles_of(camera: vtkCamera) -> tuple[float, float]:
+    """From which azimuth and elevation (degrees) a camera looks: the inverse of ``direction_from``."""
+    away = np.array(camera.GetPosition()) - np.array(camera.GetFocalPoint())
+    elevation = math.asin(np.clip(away[1] / np.linalg.norm(away), -1, 1))
+    return math.degrees(math.atan2(away[0], away[2])), math.degrees(elevation)
 
 
 def frame_of(

@@ -6,6 +6,7 @@ import contextlib
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,8 @@ COARSE = 0.014
 @dataclass(frozen=True, eq=False)
 class Wish:
     """A mesh that is wanted: its ``number``, the draw, whether a ``preview`` will do, parts that are to be ``taken``
-    from a shape of the user's choice ({part: name}), and how it is made (see ``sculptor.Recipe``)."""
+    from a shape of the user's choice ({part: name}), how it is made (see ``sculptor.Recipe``), and which parts (L,) are
+    made ``symmetric`` where the family has them so."""
 
     number: int
     points: Float[np.ndarray, "K 3"]
@@ -35,6 +37,7 @@ class Wish:
     taken: Mapping[int, str] = field(default_factory=dict)
     route: str = "parts"
     union: bool = False
+    symmetric: bool | Bool[np.ndarray, " L"] = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,13 +216,14 @@ class MeshWorker:
     def _made(self, wish: Wish, shapes: np.ndarray | None) -> Made:
         """The mesh of a wish; its parts from the training ``shapes`` (None: retrieved)."""
         with threadpool_limits(1, "blas"):  # a recipe makes it again to the byte, on any number of processors
+            more: dict[str, Any] = {"shapes": shapes}
             if wish.route == "surface":
-                make = self._maker("surface", False)
-                shape = make(wish.points, wish.exists, **({"cell": COARSE} if wish.preview else {}))
+                make, more = self._maker("surface", False), {"cell": COARSE} if wish.preview else {}
             elif wish.preview:
-                shape = synthesize_mesh(wish.points, wish.exists, self._sources_now(), preview=True, shapes=shapes)
+                make = partial(synthesize_mesh, sources=self._sources_now(), preview=True)
             else:
-                shape = self._maker("parts", wish.union)(wish.points, wish.exists, shapes=shapes)
+                make = self._maker("parts", wish.union)
+            shape = make(wish.points, wish.exists, symmetric=wish.symmetric, **more)
         if wish.route == "parts" and not wish.preview:
             sources = self._sources_now()
             order = np.argsort(-resemblance(sources.positions, wish.points), kind="stable")[:AHEAD]

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
+from shapeforge.collection.counts import counted
 from shapeforge.viewer import likeness, svg
 from shapeforge.viewer.actions import Actions, groups_of
 from shapeforge.viewer.display import Display, View
@@ -106,7 +107,9 @@ class FamilyView(_Watching):
         columns = min(self.columns, len(names))
         self.image.value = encoded(contact_sheet(pictures, captions, columns, session.theme))
         left = len(project.names) - len(names)
-        self.words.value = f"{len(project.names)} shapes" + (f", the first {len(names)} are shown" if left else "")
+        self.words.value = counted(len(project.names), "shape") + (
+            f", the first {len(names)} are shown" if left else ""
+        )
 
     def picture_of(self, name: str) -> UInt8[np.ndarray, "h w 3"]:
         """One shape in the colours asked for; grey where there is nothing yet to colour it by."""
@@ -293,7 +296,8 @@ class SliderView(_Watching):
 
         if self._sources is None:
             self._sources = sources_of(self.session.project)
-        made = synthesize(self.sculptor.points(), self.sculptor.exists(), self._sources)
+        sculptor = self.sculptor
+        made = synthesize(sculptor.points(), sculptor.exists(), self._sources, symmetric=sculptor.symmetric())
         self._show(View((self.sculptor.mesh_layer(made),)))
         self.words.value = escape(measure_words(made.measures))
         self.made = made

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +19,7 @@ from shapeforge.viewer.look import polydata
 Number = float | int
 Rectangle = tuple[Number, Number, Number, Number]
 KEPT_LOCATORS = 40
+NEAR = (3.0, 6.0)  # logical pixels beside a thin leg that still mean the leg
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +51,13 @@ def project(camera: vtkCamera, positions: Float[np.ndarray, "n 3"], rectangle: R
     flat = (np.asarray(positions, float) - np.array(camera.GetFocalPoint())) @ camera_axes(camera)[:2].T
     pixels = height / (2 * camera.GetParallelScale())
     return np.stack([x + width / 2 + flat[:, 0] * pixels, y + height / 2 - flat[:, 1] * pixels], axis=1)
+
+
+def around(x: Number, y: Number) -> Iterator[tuple[float, float]]:
+    """Places a few pixels about (x, y), the nearer ones first: where a thin leg may be that was meant."""
+    for distance in NEAR:
+        for turn in range(8):
+            yield x + distance * math.cos(turn * math.pi / 4), y + distance * math.sin(turn * math.pi / 4)
 
 
 class Picker:

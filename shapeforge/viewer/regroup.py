@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from shapeforge.collection.counts import counted
 from shapeforge.collection.groups import Groups
 from shapeforge.viewer.readiness import YES, Verdict, group_of, groups_of, needs_rest
 from shapeforge.viewer.session import Session
@@ -41,7 +42,7 @@ def _indices(session: Session) -> Int[np.ndarray, " n"]:
 
 
 def _some(names: tuple[str, ...]) -> str:
-    return names[0] if len(names) == 1 else f"{len(names)} shapes"
+    return names[0] if len(names) == 1 else counted(len(names), "shape")
 
 
 # -- exemplars and members -------------------------------------------------------------------------------------------
@@ -218,7 +219,7 @@ def _split_off(session: Session, before: Groups, chosen: Int[np.ndarray, " n"], 
     after = dataclasses.replace(before, names=(*before.names, fresh), group=group, exemplars=exemplars)
     _change_groups(session, text, before, tidied(after))
     session.group = groups_of(session).names.index(fresh)
-    session.say(f"{fresh} has {len(chosen)} shape{'s' * (len(chosen) != 1)}. Double-click its name to rename it.", "ok")
+    session.say(f"{fresh} has {counted(len(chosen), 'shape')}. Double-click its name to rename it.", "ok")
 
 
 # -- the arithmetic of it --------------------------------------------------------------------------------------------

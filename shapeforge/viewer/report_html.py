@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from shapeforge.collection.counts import THIN, grouped
 from shapeforge.viewer import likeness, svg
 
 
@@ -25,7 +26,7 @@ def table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
     """A table of ready HTML cells; numbers stand right, and above a column of them so does its heading."""
 
     def is_number(text: str) -> bool:
-        return re.fullmatch(r"[\d. \N{NARROW NO-BREAK SPACE}\N{MINUS SIGN}e+-]+( s| %)?|–", text) is not None
+        return re.fullmatch(rf"[\d. {THIN}−e+-]+( s| %)?|–", text) is not None
 
     def cell(text: str, right: bool, kind: str = "td") -> str:
         return f"<{kind}{' class=n' if right else ''}>{text}</{kind}>"
@@ -55,8 +56,4 @@ def number(value: Any) -> str:
         return escape(str(value))
     if not np.isfinite(float(value)):
         return "–"
-    return (
-        svg.number(float(f"{float(value):.3g}"))
-        if abs(value) < 1000
-        else f"{float(value):,.0f}".replace(",", "\N{NARROW NO-BREAK SPACE}")
-    )
+    return svg.number(float(f"{float(value):.3g}")) if abs(value) < 1000 else grouped(round(value))

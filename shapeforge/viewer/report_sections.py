@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from shapeforge.collection.colours import as_hex
+from shapeforge.collection.counts import counted
 from shapeforge.viewer import likeness, svg
 from shapeforge.viewer.palette import group_colours
 from shapeforge.viewer.report_html import dot, image, number, percent, table
@@ -40,18 +41,17 @@ def _legend(project: Any) -> str:
 
 def sentence(project: Any) -> str:
     """What the project has, in one line."""
-    count = len(project.names)
     parts = _part_names(project)
-    words = [f"{count} shape{'s' * (count != 1)}"]
+    words = [counted(len(project.names), "shape")]
     if project.groups is not None:
-        words.append(f"{len(project.groups)} group{'s' * (len(project.groups) != 1)}")
+        words.append(counted(len(project.groups), "group"))
     if parts:
-        words.append(f"{len(parts)} parts")
+        words.append(counted(len(parts), "part"))
     if project.part_of_point is not None:
-        words.append(f"{len(project.part_of_point)} corresponding points")
+        words.append(counted(len(project.part_of_point), "corresponding point"))
     draws = project.draws()
     if draws is not None:
-        words.append(f"{len(draws['names'])} new shapes")
+        words.append(counted(len(draws["names"]), "new shape"))
     return " · ".join(words)
 
 
@@ -100,7 +100,7 @@ def groups(project: Any) -> str:
             f"<div class=strip>{small}{more}</div></div></div>"
         )
     left = int((groups.group < 0).sum())
-    note = f"<p class=note>{left} shapes are in no group.</p>" if left else ""
+    note = f"<p class=note>{counted(left, 'shape')} in no group.</p>" if left else ""
     return f"<div class=groups>{''.join(blocks)}</div>{note}"
 
 
@@ -127,7 +127,7 @@ def shapes(project: Any, shown: Sequence[str]) -> str:
             f"<figcaption>{mark}<b>{star}{escape(name)}</b>{_about(project, name)}</figcaption></figure>"
         )
     left = len(project.names) - len(shown)
-    note = f"<p class=note>{len(shown)} of {len(project.names)} shapes, evenly chosen.</p>" if left else ""
+    note = f"<p class=note>{len(shown)} of {counted(len(project.names), 'shape')}, evenly chosen.</p>" if left else ""
     key = "Left to right: as given"
     if _part_names(project):
         key += ", by part"
@@ -141,7 +141,7 @@ def shapes(project: Any, shown: Sequence[str]) -> str:
 def _about(project: Any, name: str) -> str:
     """Faces, how sure the labels are, and the share of every part."""
     record = project.shape_record(name)
-    words = f"<small>{record['n_faces']:,} faces".replace(",", "\N{NARROW NO-BREAK SPACE}")
+    words = f"<small>{counted(record['n_faces'], 'face')}"
     labels, probabilities = project.face_labels(name), project.face_probabilities(name)
     bar = ""
     if labels is not None and probabilities is not None:

@@ -21,7 +21,7 @@ from shapeforge.generative.scales import Scales
 from shapeforge.generative.units import Direction, bundles, drive, drive_latents, single_units
 from shapeforge.synthesis.assemble import SynthesizedShape
 from shapeforge.synthesis.complete import completed_parts
-from shapeforge.synthesis.mirror import find_mirror
+from shapeforge.synthesis.mirror import Bend, find_mirror
 from shapeforge.synthesis.sources import touching_shares
 from shapeforge.viewer.display import MeshLayer, PointLayer
 from shapeforge.viewer.palette import label_colours
@@ -31,6 +31,7 @@ from shapeforge.viewer.recipe import Place
 from shapeforge.viewer.recipe import Recipe as Recipe
 from shapeforge.viewer.resemblance import blend, least_like, nearest_shape
 from shapeforge.viewer.session import Session
+from shapeforge.viewer.shape_history import ShapeHistory
 from shapeforge.viewer.slider_names import changes, choose_names, what_moves
 
 PERCENTILES = 3.29
@@ -38,11 +39,13 @@ PERCENTILES = 3.29
 FARTHEST = 9.0
 """Standard deviations by which a slider may be set away from where the shape stands."""
 FOLLOWING = 11
+BENT = 0.005
+"""Diagonals that a part has to be bent somewhere to count as such."""
 FINER, UNITS = 8, 8
 """How many bundles and single units there are sliders for, below the project's directions."""
 
 
-class Sculptor:
+class Sculptor(ShapeHistory):
     """The learnt family of the session's project and the shape in hand.
 
     ``session.sliders``, ``parts_on``, ``pins`` and ``locked`` are the truth about sliders, parts and points
@@ -50,10 +53,8 @@ class Sculptor:
     """
 
     def __init__(self, session: Session) -> None:
-        self.session = session
+        super().__init__(session)
         self._key: Any = None
-        self.recipes: list[Recipe] = []
-        self.done = -1
         self.draws = 0
         self.directions: list[Direction] = []
         self.names: list[str] = []
@@ -152,84 +153,17 @@ class Sculptor:
     # ---- the shape in hand ---------------------------------------------------------------------------------------
 
     @property
-    def recipe(self) -> Recipe:
-        """The last recipe of the history that is in effect (its sliders as they were when it was kept)."""
-        return self.recipes[self.done]
-
-    def start(self, recipe: Recipe) -> None:
-        """Make another shape, as a new item of the history; what had been undone is forgotten."""
-        del self.recipes[self.done + 1 :]
-        self.recipes.append(recipe)
-        self.done = len(self.recipes) - 1
-        self._take_over(recipe)
-
-    def exchange(self, recipe: Recipe) -> None:
-        """Make another shape of the present item of the history."""
-        self.recipes[self.done] = recipe
-        self._take_over(recipe)
-
-    def keep(self, label: str) -> None:
-        """Keep the shape in hand (sliders, parts and pins as they are now) as a new item of the history."""
-        self.start(replace(self.recipe, label=label, **self._now()))
-
-    @property
     def as_kept(self) -> bool:
         """The shape in hand is as the history has it."""
         now, recipe = self._now(), self.recipe
         asked = ("sliders", "parts_on", "pins", *(["locked"] if self.pinned() else []))
         return all(now[name] == getattr(recipe, name) for name in asked)
 
-    def _now(self) -> dict[str, Any]:
-        session = self.session
-        return {
-            "sliders": dict(session.sliders), "parts_on": dict(session.parts_on), "pins": dict(session.pins),
-            "locked": session.locked,
-        }  # fmt: skip
-
     def take_part(self, part: int, name: str) -> None:
         """Ask for a part from the shape ``name`` ("": from the one that suits best again), as a new item."""
         taken = {l: n for l, n in self.recipe.taken.items() if l != part} | ({part: name} if name else {})
         self.keep(f"{self.part_names[part]} of {name or 'the nearest'}")
         self.recipes[self.done] = replace(self.recipe, taken=taken)
-
-    def make_by(self, route: str, union: bool) -> None:
-        """Make the mesh of the shape in hand in another way (see :class:`Recipe`), as a new item."""
-        if (route, union) == (self.recipe.route, self.recipe.union):
-            return
-        self.keep("new surface" if route == "surface" else "one solid" if union else "of parts")
-        self.recipes[self.done] = replace(self.recipe, route=route, union=union)
-
-    def go_to(self, index: int) -> None:
-        """Back (or forth) to an item of the history."""
-        index = min(max(index, 0), len(self.recipes) - 1)
-        if index != self.done:
-            self.done = index
-            self._take_over(self.recipe)
-
-    def _take_over(self, recipe: Recipe) -> None:
-        if recipe.pins:  # with other sliders locked it would be another shape
-            self.session.locked = recipe.locked
-        self.session.parts_on = dict(recipe.parts_on)
-        self.session.pins = dict(recipe.pins)
-        self.session.sliders = dict(recipe.sliders)
-
-    @property
-    def undo_label(self) -> str | None:
-        """What Undo would take back, None when nothing."""
-        return self.recipe.label if self.done > 0 else None
-
-    @property
-    def redo_label(self) -> str | None:
-        """What Redo would do again, None when nothing."""
-        return self.recipes[self.done + 1].label if self.done + 1 < len(self.recipes) else None
-
-    def undo(self) -> None:
-        """Back to the item before."""
-        self.go_to(self.done - 1)
-
-    def redo(self) -> None:
-        """Forth to the next item."""
-        self.go_to(self.done + 1)
 
     def unit(self, index: int) -> float:
         """One standard deviation of a slider, in the direction's own units."""
@@ -286,27 +220,51 @@ class Sculptor:
 
     def points(self, recipe: Recipe | None = None) -> Float[np.ndarray, "K 3"]:
         """Points (K, 3) of the shape in hand (or of a recipe), normal coordinates, NaN where a part is absent."""
-        latents = self.latents_in_hand(recipe)
+        latents, bend = self._in_hand(recipe)
+        points = self._positions(latents)
+        return points if bend is None else bend.moved(points)
+
+    def _positions(self, latents: Latents) -> Float[np.ndarray, "K 3"]:
         return np.asarray(self.machine.to_positions(decode(self.machine, latents), latents.exists)[0], np.float64)
 
     def latents_in_hand(self, recipe: Recipe | None = None) -> Latents:
         """The latents of the shape in hand (or of a recipe): sliders, switched parts and pins included."""
+        return self._in_hand(recipe)[0]
+
+    def symmetric(self, recipe: Recipe | None = None) -> Bool[np.ndarray, " L"]:
+        """Which parts (L,) of the shape in hand (or of a recipe) are made symmetric where the family has them so.
+
+        Not those that are bent, for points of one side that are pinned another way than those of the other.
+        """
+        latents, bend = self._in_hand(recipe)
+        found = np.ones(len(self.part_names), bool)
+        if bend is not None:
+            points = self._positions(latents)
+            found[self.part[np.linalg.norm(bend.moved(points) - points, axis=1) > BENT]] = False
+        return found
+
+    def bend(self, recipe: Recipe | None = None) -> Bend | None:
+        """How the shape in hand (or of a recipe) is bent beyond what its latents make of it; None where it is not."""
+        return self._in_hand(recipe)[1]
+
+    def _in_hand(self, recipe: Recipe | None) -> tuple[Latents, Bend | None]:
         source = self.session if recipe is None else recipe
         base = self.recipe.base if recipe is None else recipe.base
         settings = {index: value * self.unit(index) for index, value in source.sliders.items() if value}
         exists, pins = self.exists(recipe), self.pinned(recipe)
         _, found = drive_latents(self.machine, base, settings, exists, directions=self.directions)
         if not pins:
-            return found
+            return found, None
         key = exists.tobytes(), *(tuple(sorted(one.items())) for one in (settings, pins)), source.locked
         if self._followed[0] is not base or self._followed[1] != key:
             rows = self.rows[sorted(source.locked)] if source.locked else None
             # The same numbers each time: what follows a hand must not tremble.
             rng = np.random.default_rng(FOLLOWING)
-            at = np.asarray(self.machine.to_positions(decode(self.machine, found), exists[None])[0], np.float64)
-            held = self.mirror().with_twins(self.known(pins), at, self.part)
+            at, mirror, known = self._positions(found), self.mirror(), self.known(pins)
+            held = mirror.with_twins(known, at, self.part)
             followed = follow(self.machine, self.mixture, found, held, rng=rng, kept=rows)
-            self._followed = (base, key, followed)
+            bend = mirror.bend_apart(known, at, self._positions(followed), self.part)
+            self._followed = (base, key, (followed, bend))
         return self._followed[2]
 
     def pinned(self, recipe: Recipe | None = None) -> dict[int, Place]:

@@ -44,6 +44,7 @@ def export_mesh(path: Path, sculptor: Sculptor, shape: SynthesizedShape, recipe:
 def _pins_of(sculptor: Sculptor, recipe: Recipe) -> dict[str, Any]:
     """What is written of pins: where points are held and how far off they are, and the shape that follows them."""
     points, free = sculptor.points(recipe), sculptor.latents_in_hand(replace(recipe, pins={}))
+    symmetric, bend = sculptor.symmetric(recipe), sculptor.bend(recipe)
     pins = [
         {
             "part": sculptor.part_names[sculptor.part[point]], "point": point, "at": list(place),
@@ -51,7 +52,11 @@ def _pins_of(sculptor: Sculptor, recipe: Recipe) -> dict[str, Any]:
         }
         for point, place in sculptor.pinned(recipe).items()
     ]  # fmt: skip
-    return {
+    bent = {} if bend is None else {
+        "bend": {"centres": bend.centres.tolist(), "heights": bend.heights.tolist(), "width": bend.width},
+        "unsymmetric": [name for name, on in zip(sculptor.part_names, symmetric, strict=True) if not on],
+    }  # fmt: skip
+    return bent | {
         "pins": pins, "unpinned": [[float(x) for x in layer[0]] for layer in free.layers],
         "locked": [sculptor.names[index] for index in sorted(recipe.locked)],
     }  # fmt: skip

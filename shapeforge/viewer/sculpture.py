@@ -10,9 +10,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
+from shapeforge.collection.counts import counted
 from shapeforge.viewer.display import Caption, Display, Mark, MeshLayer, PointLayer, View
 from shapeforge.viewer.mesh_worker import Made
 from shapeforge.viewer.palette import heat
+from shapeforge.viewer.recipe import Recipe
 from shapeforge.viewer.sculptor import Sculptor
 
 Layer = MeshLayer | PointLayer
@@ -47,10 +49,17 @@ def display(
         words = f"the parts did not go together: another draw ({turn + 1})…" if turn else "making the mesh…"
         captions.append(Caption("bottom left", ((words, "faint"),)))
     else:
-        pins = f"{n_pins} point{'s' * (n_pins != 1)} pinned; Ctrl+click or Delete takes a pin away"
+        pins = f"{counted(n_pins, 'point')} pinned; Ctrl+click or Delete takes a pin away"
         words = pins if n_pins else "Drag a handle on the shape, the rest follows"
         captions.append(Caption("bottom left", ((words, "faint"),)))
     return Display((View(layers, marks, tuple(captions), moves=moves),))
+
+
+def small_view(sculptor: Sculptor, recipe: Recipe, made: Made | None) -> View:
+    """A shape of the history for a small picture: its mesh, or its points while there is none."""
+    if made is not None:
+        return View((sculptor.mesh_layer(made.shape),))
+    return View((sculptor.points_layer(sculptor.points(recipe), 2.0),))
 
 
 def origin_words(sources: tuple[str, ...]) -> str:
@@ -65,7 +74,7 @@ def _size_words(made: Made | None) -> tuple[tuple[str, str], ...]:
     if made is None:
         return ()
     measures = made.shape.measures
-    words = f"{len(made.shape.triangles):,} faces".replace(",", "\u202f")
+    words = counted(len(made.shape.triangles), "face")
     if made.preview:
         words = f"preview, {words}"
     if not made.preview and measures.get("open_edges") == 0:
@@ -101,7 +110,7 @@ def measure_words(measures: Mapping[str, Any]) -> str:
         words.append(f"symmetry {100 * measures['symmetry_error']:.1f}% of size")
     if "folded_triangles" in measures:
         folded = int(measures["folded_triangles"])
-        words.append(f"{folded} folded triangle{'s' * (folded != 1)}")
+        words.append(counted(folded, "folded triangle"))
     if measures.get("redrawn"):
         words.append(f"{measures['redrawn']} other draw{'s' * (measures['redrawn'] != 1)} put aside")
     return " · ".join(words)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
+from shapeforge.collection.counts import counted
 from shapeforge.stages_pose import Before, put_back, turn_by_hand
 from shapeforge.viewer.display import LineLayer, Mark, MeshLayer, PointLayer, View
 from shapeforge.viewer.readiness import YES, Verdict, group_of, groups_of, needs_rest
@@ -99,7 +100,7 @@ def keep(session: Session) -> None:
         before.update(turn_by_hand(project, wanted))
         session.touch("shapes")
 
-    some = names[0] if len(names) == 1 else f"{len(names)} shapes"
+    some = names[0] if len(names) == 1 else counted(len(names), "shape")
     session.do(f"turn {some}", redo, lambda: put(before))
     stale = " The fit is stale: run it again." if project.fit_id is not None else ""
     session.say(f"{some} turned.{stale}", "ok")

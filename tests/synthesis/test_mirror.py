@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from shapeforge.synthesis.assemble import synthesize
 from shapeforge.synthesis.measures import symmetry_error
-from shapeforge.synthesis.mirror import SYMMETRIC, find_mirror
+from shapeforge.synthesis.mirror import SYMMETRIC, Bend, find_mirror
 
 BOTH = np.array([True, True])
 
@@ -117,6 +118,68 @@ def test_a_point_on_the_plane_is_held_on_it_and_a_held_pair_stays_as_it_is(table
     assert np.abs(found[middle] - points[middle] - [0.0, 0.04, 0.0]).max() < 1e-9
     assert np.isfinite(found[:, 0]).sum() == 1
     pair = [500, mirror.partner[500]]
+    assert mirror.partner[pair[1]] == pair[0]
     held = np.full(points.shape, np.nan)
     held[pair] = points[pair] + [[0.02, 0, 0], [0, 0, 0.03]]
     assert np.array_equal(mirror.with_twins(held, points, table_part), held, equal_nan=True)
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.06])
+def test_legs_held_unlike_on_both_sides_both_go_where_they_are_held(tables, table_part, sources, aside) -> None:
+    """Also where the other leg's is not the very twin but a point near it; the mesh of the bent legs has both ends."""
+    mirror, points = sources.mirror, tables[1].points
+    legs = [np.arange(384 * i, 384 * (i + 1)) for i in range(1, 5)]
+    own = next(leg for leg in legs if 700 in leg)
+    k = own[points[own, 1].argmin()]
+    twin = mirror.partner[k]
+    opposite = next(leg for leg in legs if twin in leg)
+    other = opposite[np.abs(np.linalg.norm(points[opposite] - points[twin], axis=1) - aside).argmin()]
+    assert (other == twin) == (aside == 0)
+    held, pull = np.full(points.shape, np.nan), np.array([0.0, -0.04, 0.0])
+    held[k], held[other] = points[k] + pull, points[other]
+    assert np.array_equal(mirror.with_twins(held, points, table_part), held, equal_nan=True), "neither takes the other"
+    reached = points + pull / 2  # as a symmetric family does
+    bend = mirror.bend_apart(held, points, reached, table_part)
+    bent = bend.moved(reached)
+    assert np.linalg.norm((reached - held)[[k, other]], axis=1).min() > 0.019
+    assert np.linalg.norm((bent - held)[[k, other]], axis=1).max() < 1e-3
+    far = np.linalg.norm(points - points[k], axis=1) > 0.4
+    far &= np.linalg.norm(points - points[other], axis=1) > 0.4
+    assert far.sum() > 300 and np.abs(bent - reached)[far].max() < 1e-3
+    halved = mirror.made_symmetric(bent, table_part)
+    assert np.linalg.norm((halved - held)[[k, other]], axis=1).min() > 0.012
+    kept = mirror.made_symmetric(bent, table_part, np.array([True, False]))
+    assert np.array_equal(kept[table_part == 1], bent[table_part == 1])
+    missed = []
+    for symmetric in (True, np.array([True, False])):
+        vertices = synthesize(bent, BOTH, sources, symmetric=symmetric).vertices
+        missed.append([foot_off(vertices, bent[leg][bent[leg, 1].argmin()]) for leg in (own, opposite)])
+    assert max(missed[1]) < 0.008 and max(missed[1]) < 0.5 * max(missed[0]), missed
+
+
+def foot_off(vertices: np.ndarray, foot: np.ndarray) -> float:
+    """How much higher or lower than this the mesh ends there."""
+    near = np.linalg.norm((vertices - foot)[:, [0, 2]], axis=1) < 0.08
+    return float(abs(vertices[near, 1].min() - foot[1]))
+
+
+def test_what_is_held_alike_or_on_one_side_bends_nothing(tables, table_part, sources) -> None:
+    mirror, points = sources.mirror, tables[1].points
+    held, pull = np.full(points.shape, np.nan), np.array([0.0, 0.02, 0.0]) + 0.03 * mirror.normal
+    twin = mirror.partner[700]
+    held[700], held[twin] = points[700] + pull, points[twin] + pull - 2 * (pull @ mirror.normal) * mirror.normal
+    assert mirror.bend_apart(held, points, points, table_part) is None
+    held[twin] = np.nan
+    assert mirror.bend_apart(held, points, points, table_part) is None
+    held[710] = points[710] - pull
+    assert mirror.bend_apart(held, points, points, table_part) is None, "two on one side say nothing of the other"
+
+
+@pytest.mark.parametrize("by", [0.02, 0.15, 0.6])
+def test_a_bend_folds_nothing_however_far_it_goes(by) -> None:
+    """Along a line through the centre, points keep their order."""
+    line = np.linspace(-1.0, 1.0, 2001)[:, None] * [1.0, 0.0, 0.0]
+    bend = Bend.through(np.zeros((1, 3)), np.array([[by, 0.0, 0.0]]))
+    assert np.diff(bend.moved(line)[:, 0]).min() > 0 and np.abs(bend.moved(np.zeros((1, 3)))[0, 0] - by) < 2e-3 * by
+    twice = Bend.through(np.zeros((2, 3)), np.array([[by, 0.0, 0.0], [-by, 0.0, 0.0]]))
+    assert np.linalg.norm(twice.moved(np.zeros((1, 3)))) < 1e-6, "two ways at one place"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QColor
-from PySide6.QtWidgets import QFrame, QLabel
+from PySide6.QtWidgets import QFrame, QLabel, QWidget
 
 from shapeforge import stages
 from shapeforge.collection.colours import PARTS
@@ -379,7 +379,8 @@ def test_every_part_that_is_off_says_why_and_where_else(open_window, fitted, qtb
     for part, note in place.report.notes.items():
         elsewhere = [one for one in place.record.off_on(fitted.part_names.names.index(part)) if one != name]
         assert f"{len(elsewhere)} other" in note.text.text() or not elsewhere
-    many = next(note for note in place.report.notes.values() if "other shapes" in note.text.text())
+    part, many = next((part, one) for part, one in place.report.notes.items() if "other shapes" in one.text.text())
+    place.report.explain(part)
     qtbot.mouseClick(many.show_others, LEFT)
     assert window.session.watched and name not in window.session.watched
     assert other in fitted.names
@@ -501,17 +502,55 @@ def test_the_rounds_to_look_back_at_are_parted_where_the_familys_begin(qtbot):
     assert parted() == set()
 
 
-def test_what_can_be_done_about_a_part_that_is_off_is_seen_without_scrolling(open_window, fitted, qtbot):
-    window = open_window(fitted, "fit")
-    window.resize(1280, 800)
-    place, session = place_of(window), window.session
-    off = {name: int((~place.record.beliefs(name).active).sum()) for name in fitted.names}
-    session.shape = next(name for name in fitted.names if off[name])
+def all_seen(*widgets: QWidget) -> bool:
+    """Whether every pixel of the widgets is in sight."""
+    return all(one.visibleRegion().boundingRect().size() == one.size() for one in widgets)
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (1600, 1000)])
+def test_why_a_part_is_off_is_seen_without_scrolling(open_window, fitted, qtbot, size):
+    """Of every part that is off, one after the other, however low the window, below the note that the fit is stale."""
+    name = fitted.names[-1]
+    for part in np.flatnonzero(fitted.beliefs(name).active)[:4]:
+        switch_off(fitted, name, int(part))
+    labelled = fitted.labelled[0]
+    fitted.set_labels(labelled, np.full(fitted.shape_record(labelled)["n_faces"], -1, np.int32))
+    window = open_window(Project.open(fitted.path), "fit")
+    window.resize(*size)
+    place = place_of(window)
+    window.session.shape = name
     place._show_all()
-    assert place.record.family_after is not None, "the curves are in two phases"
-    note = next(iter(place.report.notes.values()))
-    links = [one for one in (note.override, note.show_others) if not one.isHidden()]
-    qtbot.waitUntil(lambda: all(one.visibleRegion().boundingRect().size() == one.size() for one in links))
+    notes = place.report.notes
+    assert next(one for one in place.inspector.findChildren(QFrame) if one.objectName() == "stale").isVisible()
+    assert len(notes) >= 4 and place.record.family_after is not None, "the curves are in two phases"
+    shown = next(iter(notes))
+    for _ in range(len(notes)):
+        note = notes[shown]
+        qtbot.waitUntil(lambda note=note: note.isVisible() and all_seen(note, note.text, note.next))
+        assert [one for one in notes if notes[one].isVisible()] == [shown]
+        assert place.report.off_rows[shown].property("current") == "true"
+        qtbot.mouseClick(note.next, LEFT)
+        shown = next(one for one in notes if notes[one].isVisible())
+    assert shown == next(iter(notes)), "after the last comes the first"
+
+
+def test_a_click_on_a_part_that_is_off_tells_why(open_window, fitted, qtbot):
+    name = fitted.names[-1]
+    for part in np.flatnonzero(fitted.beliefs(name).active)[:2]:
+        switch_off(fitted, name, int(part))
+    window = open_window(Project.open(fitted.path), "fit")
+    window.resize(1600, 1000)
+    place = place_of(window)
+    window.session.shape = name
+    place._show_all()
+    report = place.report
+    last = list(report.notes)[-1]
+    assert not report.notes[last].isVisible()
+    qtbot.waitUntil(lambda: all_seen(report.off_rows[last]))
+    qtbot.mouseClick(report.off_rows[last], LEFT)
+    assert report.notes[last].isVisible() and sum(one.isVisible() for one in report.notes.values()) == 1
+    place._show_all()
+    assert report.notes[last].isVisible(), "it stays so"
 
 
 def test_a_fit_that_became_stale_says_so(open_window, fitted, qtbot):

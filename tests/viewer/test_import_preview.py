@@ -5,15 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 
+from shapeforge.collection.meshes import read_mesh, write_mesh
 from shapeforge.store import Project
 from shapeforge.viewer.import_preview import (
     FilePreview,
     doubts,
-    likely_unit,
     other_size_words,
+    possible_units,
     previews,
     size_words,
     summary,
@@ -49,9 +51,48 @@ def models(meshes: Path, tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(("longest", "unit"), [(0.9, "m"), (85.0, "cm"), (870.0, "mm"), (1.0, ""), (1e6, "")])
-def test_the_likely_unit(longest, unit):
-    assert likely_unit(longest) == unit
+SIZES = [
+    (0.9, "m"),
+    (35.0, "cm m"),
+    (70.0, "cm m"),
+    (85.0, "cm"),
+    (870.0, "mm cm"),
+    (9000.0, "mm"),
+    (1.0, ""),
+    (1e6, ""),
+]
+
+
+@pytest.mark.parametrize(("longest", "units"), SIZES)
+def test_the_possible_units(longest, units):
+    """An airliner in metres is as large as a lamp in centimetres: size does not tell, and both are said."""
+    assert possible_units(longest) == tuple(units.split())
+
+
+def test_the_files_of_a_folder_tell_the_unit_of_one_whose_size_does_not():
+    """The unit is that of most files, also for those that by themselves had two; the likeliest is named first."""
+    planes = files_of(4.2, 5.0, 6.1, 9.8, 12.5, 21.0)
+    assert [size_words(one, usual(planes)).split()[-1] for one in planes] == ["m?"] * 6
+    assert size_words(planes[-1]).endswith(" cm or m?"), "alone"
+    airliners = files_of(30.0, 38.7, 71.0, 64.0)
+    assert all(size_words(one, usual(airliners)).endswith(" cm or m?") for one in airliners)
+    assert "sizes may be centimetres or metres" in summary(airliners)
+    assert not any(doubts(one, usual(airliners)) for one in airliners), "that it is not known makes no file odd"
+
+
+def test_a_format_that_has_one_unit_is_believed(meshes, tmp_path):
+    mesh = read_mesh(meshes / "chair_0000.obj")
+    longest = float(np.ptp(mesh.vertices, axis=0).max())
+    for ending in (".glb", ".obj"):
+        for i in range(3):
+            vertices, part = mesh.vertices * (38.0 + i) / longest, np.zeros(len(mesh.triangles), int)
+            write_mesh(
+                tmp_path / f"{i}{ending}", vertices, mesh.triangles, part, ["all"], np.full((1, 3), 99, np.uint8)
+            )
+    seen = list(previews([tmp_path]))
+    stated = [one for one in seen if one.path.suffix == ".glb"]
+    assert len(seen) == 6 and {one.units for one in stated} == {("m",)} == {usual(stated).units and ("m",)}
+    assert usual(seen).units == ("cm", "m"), "not all say so"
 
 
 def test_every_file_is_seen_before_it_is_imported(models):
@@ -59,7 +100,7 @@ def test_every_file_is_seen_before_it_is_imported(models):
     assert seen["a"].n_faces > 0 and seen["a"].up == "y is up" and not seen["a"].problem
     among = usual(list(seen.values()))
     assert seen["lying"].up.startswith("turned") and doubts(seen["lying"], among) and not doubts(seen["a"], among)
-    assert seen["large"].unit == "mm"
+    assert seen["large"].units == ("mm", "cm") and seen["a"].units == ("m",)
     assert seen["notes"].problem and seen["notes"].remedy and seen["notes"].mesh is None
     words = summary(list(seen.values()))
     assert words.startswith("3 of 4 can be read") and "2 need a look" in words
@@ -68,44 +109,44 @@ def test_every_file_is_seen_before_it_is_imported(models):
 def files_of(*longest: float) -> list[FilePreview]:
     """Previews of files that are so large."""
     return [
-        FilePreview(f"{i}", Path(f"{i}.obj"), len(longest), 10, (0.5 * one, one, 0.4 * one), likely_unit(one))
+        FilePreview(f"{i}", Path(f"{i}.obj"), len(longest), 10, (0.5 * one, one, 0.4 * one), possible_units(one))
         for i, one in enumerate(longest)
     ]
 
 
-@pytest.mark.parametrize("scale", [1.0, 30.0, 900.0])
+@pytest.mark.parametrize("scale", [1.0, 30.0, 60.0, 900.0])
 def test_files_of_a_folder_are_in_one_unit(scale):
     """Some are on the other side of a bound by themselves, one had been scaled to 1: none is another kind of file."""
-    low, high = {1.0: (0.7, 13.0), 30.0: (11.0, 90.0), 900.0: (300.0, 4000.0)}[scale]
+    low, high = {1.0: (0.7, 13.0), 30.0: (9.0, 95.0), 60.0: (11.0, 150.0), 900.0: (90.0, 9000.0)}[scale]
     files = files_of(low, scale * 1.1, scale * 1.2, scale * 2, scale * 3, high)
     among = usual(files)
-    assert among.unit == likely_unit(scale * 1.1) and len({one.unit for one in files}) == 2
-    kin = [one for one in files if max(one.size) / among.middle < 8]
-    assert all(size_words(one, among).endswith(f" {among.unit}?") for one in kin) and len(kin) >= 5
+    assert among.units == possible_units(scale * 1.65) and len({one.units for one in files}) > 1
+    kin = [one for one in files if 1 / 8 < max(one.size) / among.middle < 8]
+    assert len(kin) >= 5 and len({size_words(one, among).partition(f"{one.size[2]:.3g} ")[2] for one in kin}) == 1
     assert not any(other_size_words(one, among) for one in kin)
 
 
 def test_a_file_in_another_unit_is_marked():
-    files = files_of(0.9, 0.8, 1.1, 0.85, 2.0, 870.0, 88.0)
+    files = files_of(0.9, 0.8, 1.1, 0.85, 2.0, 9700.0, 88.0)
     among = usual(files)
     assert [size_words(one, among).split()[-1] for one in files] == ["m?"] * 5 + ["mm?", "cm?"]
     assert [other_size_words(one, among) for one in files[:5]] == [""] * 5
-    assert other_size_words(files[5], among) == "970 times as large as the others"
+    assert other_size_words(files[5], among) == "11\u202f000 times as large as the others"
     assert "metres · 2 need a look" in summary(files)
     large = files_of(870.0, 900.0, 0.9)
     assert other_size_words(large[2], usual(large)) == "980 times as small as the others"
 
 
 def test_without_a_majority_every_file_has_its_own_unit():
-    files = files_of(0.9, 0.8, 870.0, 900.0)
+    files = files_of(0.9, 0.8, 8700.0, 9000.0)
     among = usual(files)
-    assert among.unit is None and [size_words(one, among).split()[-1] for one in files] == ["m?", "m?", "mm?", "mm?"]
-    assert usual([]).unit is usual([]).up is None and "look like" not in summary(files)
+    assert among.units is None and [size_words(one, among).split()[-1] for one in files] == ["m?", "m?", "mm?", "mm?"]
+    assert usual([]).units is usual([]).up is None and "sizes" not in summary(files)
 
 
-def test_a_much_smaller_file_is_marked_whose_own_guess_is_the_same_unit():
+def test_a_much_smaller_file_is_marked():
     files = files_of(0.9, 0.8, 1.1, 0.06)
-    assert files[3].unit == "m" and doubts(files[3], usual(files)) == ("14 times as small as the others",)
+    assert doubts(files[3], usual(files)) == ("15 times as small as the others",)
     assert not any(doubts(one, usual(files)) for one in files[:3])
 
 
@@ -153,7 +194,7 @@ def test_a_drop_shows_what_was_found_and_imports_what_is_ticked(open_window, qtb
     assert set(rows) == {"a", "lying", "large", "notes"}
     assert dialog.table.item(rows["notes"], 3).text().startswith("not read")
     assert dialog.start.text() == "Import 3 shapes"
-    assert [dialog.table.item(rows[name], 2).text().split()[-1] for name in ("a", "large")] == ["m?", "mm?"]
+    assert [dialog.table.item(rows[name], 2).text().split()[-1] for name in ("a", "large")] == ["m?", "cm?"]
     assert dialog.table.item(rows["large"], 3).text().startswith("1\u202f000 times as large as the others · ")
     assert "times" not in dialog.table.item(rows["lying"], 3).text()
     assert dialog.table.item(rows["lying"], 3).text().endswith(", unlike the others")

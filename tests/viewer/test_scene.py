@@ -7,7 +7,15 @@ import pytest
 import pyvista as pv
 
 from shapeforge.viewer.display import Display, LineLayer, MeshLayer, PointLayer, View
-from shapeforge.viewer.look import FEATURE_ANGLE, floor_shadow, frame_of, place_camera, surface
+from shapeforge.viewer.look import (
+    FEATURE_ANGLE,
+    angles_of,
+    direction_from,
+    floor_shadow,
+    frame_of,
+    place_camera,
+    surface,
+)
 from shapeforge.viewer.picking import Picker, project
 from shapeforge.viewer.scene import Scene
 
@@ -173,3 +181,9 @@ def test_picking_is_the_inverse_of_projecting(scene):
     assert pick is not None and np.allclose(pick.position, target[0], atol=1e-5)
     assert pick.triangle in (6, 7) and np.allclose(pick.normal, [0, 1, 0])
     assert picker.pick(scene.camera, (cube(),), (2.0, 2.0), rectangle) is None
+
+
+@pytest.mark.parametrize(("azimuth", "elevation"), [(0, 0), (33.7, 20.0), (-170.0, -84.0), (90, 45)])
+def test_the_angles_of_a_camera_are_those_it_was_placed_by(scene, azimuth, elevation):
+    place_camera(scene.camera, (0.1, -0.2, 0.3), 0.7, direction_from(azimuth, elevation))
+    assert angles_of(scene.camera) == pytest.approx((azimuth, elevation), abs=1e-6)

@@ -228,3 +228,33 @@ def test_a_pulled_point_and_its_twin_go_as_far_as_each_other_and_the_mesh_with_t
     went = [float((at[k] - before[k]) @ inwards) / 0.04**2 for at in (points, made)]
     assert went[0] > 0.5 and went[1] > 0.9 * went[0]
     assert float((points[twin] - before[twin]) @ -inwards) / 0.04**2 > 0.7 * went[0]
+
+
+def farthest_off(sculptor) -> tuple[int, int, np.ndarray]:
+    """A point far from the mirror plane, its twin, and a way of .04 diagonals towards the plane."""
+    points, mirror, part = sculptor.points(), sculptor.mirror(), sculptor.part
+    there = np.isfinite(points).all(axis=1) & mirror.symmetric[part]
+    k = int(np.where(there, np.abs(points @ mirror.normal - mirror.place(points, part)), 0.0).argmax())
+    return (
+        k,
+        int(mirror.partner[k]),
+        -0.04 * np.sign(points[k] @ mirror.normal - mirror.place(points, part)) * mirror.normal,
+    )
+
+
+def test_a_point_and_its_twin_that_are_pinned_unlike_both_hold(sculptor):
+    """The family has symmetric shapes only: it had gone half-way, and the mesh been made symmetric."""
+    session, before, mirror, part = sculptor.session, sculptor.points(), sculptor.mirror(), sculptor.part
+    k, twin, inwards = farthest_off(sculptor)
+    session.pins = {k: as_place(before[k] + inwards), twin: as_place(before[twin])}
+    points, symmetric = sculptor.points(), sculptor.symmetric()
+    assert {part[k], part[twin]} <= set(np.flatnonzero(~symmetric)) and sculptor.bend() is not None
+    made = mirror.made_symmetric(points, part, symmetric)
+    for one in (points, made):
+        assert max(off_by(one, point, pin) for point, pin in session.pins.items()) < 1e-3
+    halved = mirror.made_symmetric(points, part)
+    assert max(off_by(halved, point, pin) for point, pin in session.pins.items()) > 0.012
+    session.pins = {k: as_place(before[k] + inwards), twin: as_place(before[twin] - inwards)}
+    assert sculptor.symmetric().all() and sculptor.bend() is None, "held alike"
+    session.pins = {}
+    assert sculptor.symmetric().all() and np.array_equal(sculptor.points(), before, equal_nan=True)

@@ -191,3 +191,26 @@ def test_a_slider_is_pulled_against_pins(place, qtbot):
     assert np.nanmax(np.abs(place.points - before)) > 1e-3 and place.session.pins == pins
     assert max(off_by(place.points, point, pin) for point, pin in pins.items()) < 0.03
     assert slider.value == pytest.approx(np.clip(place.sculptor.values()[0], slider.low, slider.high), abs=1e-6)
+
+
+def test_twins_pinned_unlike_are_said_to_be_and_the_recipe_has_it(place, qtbot, tmp_path, monkeypatch, sources):
+    sculptor, points = place.sculptor, place.points
+    mirror, part = sculptor.mirror(), sculptor.part
+    there = np.isfinite(points).all(axis=1) & mirror.symmetric[part]
+    k = int(np.where(there, np.abs(points @ mirror.normal - mirror.place(points, part)), 0.0).argmax())
+    twin = int(mirror.partner[k])
+    place.session.pins = {k: tuple(points[k] + [0.0, 0.04, 0.0])}
+    assert not place.inspector.pins.unlike.isVisible(), "one side alone takes the other along"
+    place.session.pins = {**place.session.pins, twin: tuple(points[twin])}
+    said, name = place.inspector.pins.unlike, sculptor.part_names[part[k]]
+    assert said.isVisible() and said.text().startswith("Pinned unlike on both sides") and name in said.text()
+    place.handles.let_go("pinned")
+    wait_for_mesh(place, qtbot)
+    monkeypatch.setattr(place.actions.desk, "choose_save", lambda title, name: tmp_path / "chair.glb")
+    qtbot.keyClick(place.centre, Qt.Key.Key_E, CONTROL)
+    recipe, shape = read_recipe(tmp_path / "chair.glb.recipe.json"), place.made.shape
+    assert name in recipe["unsymmetric"]
+    np.testing.assert_array_equal(remake(place.session.project, recipe, sources).vertices, shape.vertices)
+    for without in ("bend", "unsymmetric"):
+        other = remake(place.session.project, {key: recipe[key] for key in recipe if key != without}, sources)
+        assert other.vertices.shape != shape.vertices.shape or np.abs(other.vertices - shape.vertices).max() > 0.004

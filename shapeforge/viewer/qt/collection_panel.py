@@ -9,6 +9,7 @@ from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QPixmap
 from PySide6.QtWidgets import QStackedWidget, QWidget
 
+from shapeforge.collection.counts import counted, grouped
 from shapeforge.viewer.actions import Actions, group_of, groups_of
 from shapeforge.viewer.palette import rgb
 from shapeforge.viewer.qt.bind import Binding, action_button, keep_enabled
@@ -30,7 +31,6 @@ from shapeforge.viewer.qt.widgets import (
     button,
     column,
     framed,
-    grouped,
     label,
     row,
     scrolled,
@@ -252,7 +252,7 @@ class CollectionPlace:
         self.map.set_selection(session.shape, session.selected, current)
         self.groups.mark(current)
         chosen = len(session.selected) or (1 if session.shape else 0)
-        self.count.setText(f"{chosen} of {len(session.project.names)} selected" if chosen else "")
+        self.count.setText(f"{grouped(chosen)} of {grouped(len(session.project.names))} selected" if chosen else "")
         self._show_exemplar()
         self.selection.show_selection()
         self.strip.show_current()
@@ -269,7 +269,7 @@ class CollectionPlace:
         self.exemplar_title.setText(f"Exemplar of {groups.names[g]}")
         self.typical.setText(typical_text(groups, g))
         self.preview_name.setText(exemplar)
-        self.preview_about.setText(f"{grouped(project.shape_record(exemplar)['n_faces'])} faces")
+        self.preview_about.setText(counted(project.shape_record(exemplar)["n_faces"], "face"))
         can, why = can_make_exemplar(self.session)
         if self.choosing:
             text, about = "Keep the present one", "Leave the exemplar as it is  (Esc)"

@@ -9,6 +9,7 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QGuiApplication
 from PySide6.QtWidgets import QFrame, QProgressBar, QScrollArea, QWidget
 
+from shapeforge.collection.counts import counted, grouped
 from shapeforge.store import Problem
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.palette import rgb
@@ -88,7 +89,7 @@ class CollectionStrip(QWidget):
         clear(self.cards)
         self.card_of, self._card_pictures = {}, []
         if groups is None:
-            self.strip_title.setText(f"{len(session.project.names)} shapes")
+            self.strip_title.setText(counted(len(session.project.names), "shape"))
             self.strip_count.setText("")
             self.cards.addWidget(label("Grouping finds similar shapes and, for each group, one to paint.", "caption"))
             self.cards.addStretch(1)
@@ -158,7 +159,7 @@ class CollectionStrip(QWidget):
         record = self.session.project.stage_record("group")
         if not record or "seconds" not in record or groups_of(self.session) is None:
             return ""
-        return f"Grouped {len(self.session.project.names)} shapes in {duration(record['seconds'])}"
+        return f"Grouped {counted(len(self.session.project.names), 'shape')} in {duration(record['seconds'])}"
 
     def _show_next(self) -> None:
         name, text = next_step(self.session)
@@ -197,7 +198,9 @@ class SelectionSection(QWidget):
     def show_selection(self) -> None:
         """Show the selection as it is now."""
         names, total = chosen_shapes(self._session), len(self._session.project.names)
-        self.what.setText("nothing" if not names else names[0] if len(names) == 1 else f"{len(names)} of {total}")
+        self.what.setText(
+            "nothing" if not names else names[0] if len(names) == 1 else f"{grouped(len(names))} of {grouped(total)}"
+        )
         self.what.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self.out.setText("Put it back" if is_left_out(self._session) else "Leave out")
 
@@ -225,7 +228,7 @@ class ProblemList(QWidget):
         by_source = {project.shape_record(name)["source"]: name for name in project.names}
         errors = sum(problem.kind == "error" for problem in problems)
         total = len(project.names) + errors
-        self.read_count.setText(f"{len(project.names)} of {total} read" if total else "")
+        self.read_count.setText(f"{grouped(len(project.names))} of {grouped(total)} read" if total else "")
         self.copy.setVisible(bool(problems))
         of_file: dict[str, list[Problem]] = {}
         for problem in problems:

@@ -6,8 +6,8 @@ from html import escape
 
 import numpy as np
 
+from shapeforge.collection.counts import counted
 from shapeforge.collection.groups import Groups
-from shapeforge.viewer.qt.widgets import grouped
 from shapeforge.viewer.readiness import group_of, groups_of
 from shapeforge.viewer.session import Session
 
@@ -18,7 +18,7 @@ def hover_card(session: Session, name: str) -> str:
     record = project.shape_record(name)
     g = group_of(session, name)
     group = f" · {groups.names[g]}" if g >= 0 else " · left out" if groups is not None else ""
-    facts = [f"{grouped(record['n_faces'])} faces"]
+    facts = [counted(record["n_faces"], "face")]
     facts += [note for note in record.get("notes", ()) if len(note) < 40][:1]
     if g >= 0 and groups.dissimilarity is not None:
         t, e = project.names.index(name), int(groups.exemplars[g])

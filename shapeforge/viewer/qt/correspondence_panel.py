@@ -7,6 +7,7 @@ from collections.abc import Callable
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtWidgets import QWidget
 
+from shapeforge.collection.counts import counted, grouped
 from shapeforge.viewer.actions import YES, Action, Actions
 from shapeforge.viewer.lightbox import Lightbox
 from shapeforge.viewer.picking import Pick
@@ -247,7 +248,7 @@ class CorrespondencePlace:
 
     def _show_hint(self) -> None:
         unread, of = len(self.box.unread), len(self.box.names)
-        self.hint.setText(f"Reading {of - unread} of {of}…" if unread else HINTS[self.overlaid])
+        self.hint.setText(f"Reading {grouped(of - unread)} of {grouped(of)}…" if unread else HINTS[self.overlaid])
 
     def _work_ahead(self) -> None:
         """While nothing else is to do: read the rest of the family, then what the next click needs of those shown."""
@@ -384,4 +385,4 @@ class CorrespondencePlace:
         path = self.actions.desk.choose_save("Save the landmarks", "landmarks.csv")
         if path is not None:
             count = self.strip.export(path)
-            self.session.say(f"{count} points saved as {path.name}", "ok")
+            self.session.say(f"{counted(count, 'point')} saved as {path.name}", "ok")

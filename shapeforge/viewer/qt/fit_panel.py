@@ -9,6 +9,7 @@ import numpy as np
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtWidgets import QWidget
 
+from shapeforge.collection.counts import counted
 from shapeforge.viewer.actions import Action, Actions, group_of, groups_of
 from shapeforge.viewer.display import Caption, Display, grid_of
 from shapeforge.viewer.fit_display import (
@@ -29,7 +30,7 @@ from shapeforge.viewer.qt.fit_widgets import AlsoWatching, show_legend
 from shapeforge.viewer.qt.icons import refresh
 from shapeforge.viewer.qt.stale_note import stale_note
 from shapeforge.viewer.qt.theme import PADDING
-from shapeforge.viewer.qt.widgets import ElidedLabel, button, column, framed, grouped, label, row, separator, shortened
+from shapeforge.viewer.qt.widgets import ElidedLabel, button, column, framed, label, row, separator, shortened
 from shapeforge.viewer.readiness import QUALITIES, chosen_quality, planned_rounds, rounds_text
 from shapeforge.viewer.session import Session
 
@@ -291,7 +292,7 @@ class FitPlace:
         self.view.fit_if_cut()
         shape = session.project.shapes.named(name)
         turned = ", turned as the family lies" if now is not None and not np.array_equal(now.turn, UNTURNED) else ""
-        self.heads[0][1].setText(f"{shortened(name, 22)}, {grouped(shape.n_points)} points{turned}")
+        self.heads[0][1].setText(f"{shortened(name, 22)}, {counted(shape.n_points, 'point')}{turned}")
         if now is None:
             self.heads[1][1].setText("not fitted yet")
             self.heads[2][1].setText("after the fit")

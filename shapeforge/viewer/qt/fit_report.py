@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QFrame, QWidget
 
+from shapeforge.collection.counts import counted, grouped
 from shapeforge.viewer.fit_display import sureness
 from shapeforge.viewer.fit_record import WATCHED_AT_MOST, FitRecord
 from shapeforge.viewer.palette import as_hex, tokens
+from shapeforge.viewer.qt.controls import Clickable
 from shapeforge.viewer.qt.fit_widgets import PHASES
 from shapeforge.viewer.qt.plots import Curves
+from shapeforge.viewer.qt.theme import PADDING
 from shapeforge.viewer.qt.widgets import (
     ElidedLabel,
     Swatch,
@@ -24,6 +29,7 @@ from shapeforge.viewer.qt.widgets import (
     row,
     scrolled,
     section,
+    separator,
 )
 from shapeforge.viewer.readiness import Verdict, planned_rounds
 from shapeforge.viewer.session import Session
@@ -38,11 +44,16 @@ ANOTHER_SUM = (
 class OffNote(QFrame):
     """Why a part is off on the shape, where else, and what can be done about it."""
 
-    def __init__(self, part_name: str, reason: str, others: tuple[str, ...], override: Verdict) -> None:
-        """``override`` is whether it can be insisted on now, and what to do then or why not."""
+    def __init__(
+        self, part_name: str, reason: str, others: tuple[str, ...], override: Verdict, which: tuple[int, int]
+    ) -> None:
+        """``override`` is whether it can be insisted on now, and what to do then or why not.
+
+        It is note ``which`` = (n, of all): the next one is shown after a click on ``next``.
+        """
         super().__init__()
         self.setObjectName("note")
-        also = f" Also off on {len(others)} other shape{'s' * (len(others) != 1)}." if others else ""
+        also = f" Also off on {counted(len(others), 'other shape')}." if others else ""
         self.title = label(f"{part_name} switched off".capitalize(), "heading", wrap=True)
         self.text = label(f"{reason}{also}", "caption", wrap=True, tooltip=", ".join(others[:60]))
         self.override = button("Override", kind="link", tooltip=override[1])
@@ -53,13 +64,23 @@ class OffNote(QFrame):
         )
         self.show_others = button(words, kind="link", tooltip="Watch these shapes below")
         self.show_others.setVisible(bool(others))
-        links = row(self.override, self.show_others, None, spacing=16)
+        number = label(f"{which[0]} of {which[1]}" if which[1] > 1 else "", "caption")
+        self.next = button("Next", kind="link", tooltip="Why the next part is off")
+        self.next.setVisible(which[1] > 1)
+        links = row(self.override, self.show_others, None, self.next, spacing=16)
         sign = column(icon_label("info", "accent_text"), None)
-        self.setLayout(row(sign, column(self.title, self.text, 2, links, spacing=2), margins=(12, 8, 12, 8)))
+        top = row(spacing=8)
+        top.addWidget(self.title, 1)
+        top.addWidget(number)
+        self.setLayout(row(sign, column(top, self.text, 2, links, spacing=2), margins=(12, 8, 12, 8)))
 
 
 class FitReport(QWidget):
-    """Curves and parts, with a note about each part that is off; ``watch`` asks to see the shapes it names."""
+    """Curves and parts, and below them a note about one part that is off: the one that was clicked, else the first.
+
+    Curves and parts scroll where there is no room for them, the note does not: it is what something can be done with.
+    ``watch`` asks to see the shapes it names.
+    """
 
     watch = Signal(tuple)
     override = Signal(str)
@@ -68,6 +89,8 @@ class FitReport(QWidget):
         """``above`` is shown above the curves."""
         super().__init__()
         self.notes: dict[str, OffNote] = {}
+        self.off_rows: dict[str, Clickable] = {}
+        self._explained = ""
         self.energy = Curves(height=72, numbered=False, phases=PHASES)
         self.change = Curves(from_zero=True, height=58, numbered=False)
         self.sigma = Curves(from_zero=True, height=88)
@@ -93,7 +116,12 @@ class FitReport(QWidget):
             ),
             section(row(self.parts_title), self.part_list, line=False),
         )
-        self.setLayout(column(body, spacing=0))
+        self._note_box = column(spacing=0, margins=(PADDING, 12, PADDING, 12))
+        self._note_holder = framed(column(separator(), self._note_box, spacing=0))
+        box = column(spacing=0)
+        box.addWidget(body, 1)
+        box.addWidget(self._note_holder)
+        self.setLayout(box)
 
     def show_fit(self, record: FitRecord, session: Session, number: int) -> None:
         """Show the curves up to the newest round, the text of round ``number``, the parts of the selected shape."""
@@ -126,22 +154,46 @@ class FitReport(QWidget):
 
     def _show_parts(self, record: FitRecord, session: Session) -> None:
         clear(self.part_list)
-        self.notes = {}
+        clear(self._note_box)
+        self.notes, self.off_rows = {}, {}
         name = session.shape or ""
         self.parts_title.setText(f"Parts of {name}")
         beliefs = record.beliefs(name) if record.looks else None
         if beliefs is None or record.newest < 1:
             self.part_list.addWidget(label("Known after the first round.", "caption"))
+            self._note_holder.hide()
             return
         sure = sureness(np.asarray(beliefs.segmentation, float))
         lent = {part: record.looks[theirs.template].source for part, theirs in beliefs.lent}
-        for part in range(len(record.looks[0].part_names)):
-            on = bool(beliefs.active[part]) or part in lent
-            self.part_list.addWidget(_part_row(record, part, on, float(sure[part]), lent.get(part)))
-            if not on:
-                self._add_note(record, session, part, name)
+        names = record.looks[0].part_names
+        off = [part for part in range(len(names)) if not (beliefs.active[part] or part in lent)]
+        for part in range(len(names)):
+            line = _part_row(record, part, part not in off, float(sure[part]), lent.get(part))
+            self.part_list.addWidget(line)
+            if part in off:
+                self.off_rows[names[part]] = line
+                line.clicked.connect(partial(self.explain, names[part]))
+        for number, part in enumerate(off):
+            note = self._add_note(record, session, part, name, (number + 1, len(off)))
+            following = names[off[(number + 1) % len(off)]]
+            note.next.clicked.connect(partial(self.explain, following))
+        self._note_holder.setVisible(bool(off))
+        if off:
+            self._show_note(self._explained if self._explained in self.notes else names[off[0]])
 
-    def _add_note(self, record: FitRecord, session: Session, part: int, name: str) -> None:
+    def explain(self, part_name: str, _checked: bool = False) -> None:
+        """Show the note about a part that is off; it stays the one shown on other shapes that lack the part."""
+        self._explained = part_name
+        self._show_note(part_name)
+
+    def _show_note(self, part_name: str) -> None:
+        for one, note in self.notes.items():
+            note.setVisible(one == part_name)
+            self.off_rows[one].set_current(one == part_name and len(self.notes) > 1)
+
+    def _add_note(
+        self, record: FitRecord, session: Session, part: int, name: str, which: tuple[int, int]
+    ) -> OffNote:  # fmt: skip
         """Why a part is off on the shape ``name``, on which others it is, and the way to insist on it."""
         beliefs, part_name = record.beliefs(name), record.looks[0].part_names[part]
         others = tuple(one for one in record.off_on(part) if one != name)
@@ -151,18 +203,21 @@ class FitReport(QWidget):
             else (True, f"{name} has this part? Paint some of it, and the next fit keeps it.")
         )  # fmt: skip
         odds = float(beliefs.misfit[part]) if known else float("nan")
-        note = OffNote(part_name, existence_text(odds), others, can)
+        note = OffNote(part_name, existence_text(odds), others, can, which)
         note.override.clicked.connect(lambda: self.override.emit(part_name))
         note.show_others.clicked.connect(lambda: self.watch.emit(others[:WATCHED_AT_MOST]))
         self.notes[part_name] = note
-        self.part_list.addWidget(note)
-        self.part_list.addSpacing(6)
+        self._note_box.addWidget(note)
+        return note
 
 
-def _part_row(record: FitRecord, part: int, on: bool, sure: float, source: str | None) -> QWidget:
-    """One part: colour, name, the exemplar that lends it (``source``), and how sure it is (NaN: without points)."""
+def _part_row(record: FitRecord, part: int, on: bool, sure: float, source: str | None) -> QFrame:
+    """One part: colour, name, the exemplar that lends it (``source``), and how sure it is (NaN: without points).
+
+    The row of a part that is off can be clicked.
+    """
     look, off_on = record.looks[0], record.off_on(part)
-    tooltip = f"Off on {len(off_on)} of {len(record.active)} shapes" if off_on else "On every shape"
+    tooltip = f"Off on {grouped(len(off_on))} of {counted(len(record.active), 'shape')}" if off_on else "On every shape"
     swatch = Swatch(as_hex(look.inks[part]))
     swatch.setEnabled(on)
     said = ElidedLabel(look.part_names[part], "" if on else "off", Qt.TextElideMode.ElideMiddle, about=tooltip)
@@ -174,9 +229,16 @@ def _part_row(record: FitRecord, part: int, on: bool, sure: float, source: str |
     else:
         certain = "How sure the surface that is taken for this part is"
         state = label(f"{100 * sure:.0f}% sure", "text2" if sure > 0.75 else "warning", tooltip=certain)
-    return framed(row(swatch, 4, said, lender, None, state), "", height=28)
+    line = row(swatch, 4, said, lender, None, state, margins=(ROW_INSET, 0, ROW_INSET, 0))
+    if on:
+        return framed(line, "", height=28)
+    result = Clickable(line, "row", tooltip=f"{tooltip}; a click tells why")
+    result.setFixedHeight(28)
+    return result
 
 
+ROW_INSET = 6
+"""Pixels at both ends of a row, for the ground of the one that is explained."""
 LENT = "The exemplar that explains this shape best lacks the part: another one brings it"
 
 

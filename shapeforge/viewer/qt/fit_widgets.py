@@ -9,6 +9,7 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QBoxLayout, QFrame, QWidget
 
+from shapeforge.collection.counts import grouped
 from shapeforge.viewer.fit_display import FULL_HEAT, TemplateLook, all_points, to_plane
 from shapeforge.viewer.fit_record import FitRecord, look_at, moved_text
 from shapeforge.viewer.palette import SWITCHED_OFF, as_hex, rgb, tokens
@@ -297,7 +298,7 @@ class AlsoWatching(QFrame):
             names.sort()
         elif known is not None and known.moved:
             names.sort(key=lambda name: -known.moved.get(name, 0.0))
-        self.count.setText(f"{len(names)} of {len(session.project.names)}")
+        self.count.setText(f"{len(names)} of {grouped(len(session.project.names))}")
         if [one.name for one in self.pictures] != names:
             clear(self._row)
             self.pictures = [PointPicture(name, (84, 130)) for name in names]

@@ -20,6 +20,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from shapeforge.collection.counts import counted, grouped
 from shapeforge.viewer.import_preview import (
     FilePreview,
     Usual,
@@ -36,7 +37,7 @@ from shapeforge.viewer.qt import icons
 from shapeforge.viewer.qt.controls import Choice as Menu
 from shapeforge.viewer.qt.theme import colours
 from shapeforge.viewer.qt.thumbnails import Thumbnails
-from shapeforge.viewer.qt.widgets import ElidedLabel, button, column, grouped, label, row
+from shapeforge.viewer.qt.widgets import ElidedLabel, button, column, label, row
 from shapeforge.viewer.runner import Runner, sentence
 from shapeforge.viewer.session import Session
 
@@ -84,7 +85,7 @@ class ImportDialog(QDialog):
         self.setWindowTitle("Import shapes")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setModal(True)
-        self.resize(960, 560)
+        self.resize(1000, 560)
         self.session, self.go, self.paths = session, go, paths
         self.seen: list[FilePreview] = []
         self.among = Usual()
@@ -134,7 +135,7 @@ class ImportDialog(QDialog):
         head = self.table.horizontalHeader()
         head.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         head.setHighlightSections(False)
-        for number, width in enumerate((290, 76, 190)):
+        for number, width in enumerate((280, 76, 222)):
             self.table.setColumnWidth(number, width)
         head.setSectionResizeMode(3, QHeaderView.ResizeMode.Stretch)
         self.table.itemChanged.connect(lambda _item: self._show_count())
@@ -146,7 +147,7 @@ class ImportDialog(QDialog):
         for one in news.states:
             self._add(one)
         among = usual(self.seen)
-        if news.outcome is not None or (among.unit, among.up) != (self.among.unit, self.among.up):
+        if news.outcome is not None or (among.units, among.up) != (self.among.units, self.among.up):
             self.among = among
             self._fill_all()
         if news.outcome is not None:
@@ -256,13 +257,15 @@ class ImportDialog(QDialog):
     def _show_count(self) -> None:
         count, of = len(self.ticked()), max((one.of for one in self.seen), default=0)
         if not self.done_reading:
-            self.title.setText(f"Looking at file {len(self.seen) + 1} of {of}…" if of else "Looking at the files…")
+            self.title.setText(
+                f"Looking at file {grouped(len(self.seen) + 1)} of {grouped(of)}…" if of else "Looking at the files…"
+            )
         else:
             self.title.setText(
                 "Nothing to import" if not any(not one.problem for one in self.seen) else "Import shapes"
             )
         self.said.setText(self.failed or (summary(self.seen, self.up) if self.seen else ""))
-        self.start.setText(f"Import {count} shape{'s' * (count != 1)}" if count else "Import")
+        self.start.setText(f"Import {counted(count, 'shape')}" if count else "Import")
         can = self.done_reading and count > 0
         self.start.setEnabled(can)
         why = "" if can else "Tick at least one file." if self.done_reading else "The files are still being looked at."

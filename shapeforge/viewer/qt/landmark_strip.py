@@ -14,6 +14,7 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent, QWheelEvent
 from PySide6.QtWidgets import QFrame, QScrollArea, QWidget
 
+from shapeforge.collection.counts import counted
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.lightbox import Lightbox
 from shapeforge.viewer.qt.bind import Binding, action_button
@@ -190,7 +191,7 @@ class LandmarkStrip(QFrame):
         for mark in self.marks:
             on = self.box.present_on(mark["point"])
             sure = np.mean([self.box.confidence(name, mark["point"]) for name in on]) if on else 0.0
-            card = LandmarkCard(mark["name"], f"{len(on)} shape{'s' * (len(on) != 1)} · {sure:.0%} sure")
+            card = LandmarkCard(mark["name"], f"{counted(len(on), 'shape')} · {sure:.0%} sure")
             card.clicked.connect(lambda mark=mark: self.chosen.emit(mark["point"]))
             card.forgotten.connect(lambda mark=mark: self.forget(mark))
             card.name.renamed.connect(lambda name, mark=mark: self.rename(mark, name))

@@ -9,6 +9,7 @@ from PySide6.QtCore import QEvent, Qt
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QApplication, QStackedWidget, QWidget
 
+from shapeforge.collection.counts import counted, grouped
 from shapeforge.viewer.actions import Actions, group_of, groups_of
 from shapeforge.viewer.display import Caption, Display, View, grid_of
 from shapeforge.viewer.palette import label_colours, rgb
@@ -17,7 +18,7 @@ from shapeforge.viewer.pictures import mesh_view
 from shapeforge.viewer.qt.bind import Binding, action_button
 from shapeforge.viewer.qt.map_drawing import group_colour
 from shapeforge.viewer.qt.theme import PADDING
-from shapeforge.viewer.qt.widgets import ElidedLabel, column, framed, grouped, label, row
+from shapeforge.viewer.qt.widgets import ElidedLabel, column, framed, label, row
 from shapeforge.viewer.regroup import chosen_shapes
 from shapeforge.viewer.session import Session
 from shapeforge.viewer.turning import (
@@ -93,14 +94,14 @@ class LargeView(QWidget):
             views = [self._turned(first, names)]
             views += [self._view(other, ("for comparison", "faint"))] if other else []
             self.names = (first,) + ((other,) if other else ())
-            self.turning.setText(f"Turn {first}" if len(names) == 1 else f"Turn {len(names)} shapes")
+            self.turning.setText(f"Turn {first}" if len(names) == 1 else f"Turn {counted(len(names), 'shape')}")
             rows, columns = 1, len(views)
         else:
             names = names or self._of_the_group()
             self.names = names[:MOST]
             views = [self._view(name) for name in self.names]
             rows, columns = grid_of(max(len(views), 1))
-            more = f" · the first {MOST} of {len(names)}" if len(names) > MOST else ""
+            more = f" · the first {MOST} of {grouped(len(names))}" if len(names) > MOST else ""
             self.about.setText(f"Drag turns all, wheel zooms, double-click paints{more}")
         shown = (self.names, turning, session.turn if turning and self._held is None else None)
         again = self._shown is None or shown[:2] != self._shown[:2]
@@ -136,7 +137,7 @@ class LargeView(QWidget):
             kept = self._kept[name] = (key, mesh_view(mesh, colours, session.theme))
         record = project.shape_record(name)
         called = groups.names[g] if g >= 0 else "left out" if groups is not None else "not grouped"
-        lines = second or (f"{called} · {grouped(record['n_faces'])} faces", "plain")
+        lines = second or (f"{called} · {counted(record['n_faces'], 'face')}", "plain")
         current = name == session.shape and len(self.names) > 1 and session.turn is None
         return View(kept[1].layers, captions=(Caption("top left", ((name, "strong"), lines)),), selected=current,
                     name=name)  # fmt: skip

@@ -7,6 +7,7 @@ from PySide6.QtCore import QEvent, QRectF, Qt
 from PySide6.QtGui import QColor, QPainter, QPen
 from PySide6.QtWidgets import QBoxLayout, QFrame, QWidget
 
+from shapeforge.collection.counts import counted
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.fuzzy import MOST_SHARE
 from shapeforge.viewer.lightbox import FARTHEST, FULL_PART_BITS, Lightbox
@@ -150,10 +151,10 @@ class PointInspector(QFrame):
         present = present if picked is None else box.present_on(picked)
         low = [name for name in present if box.confidence(name, picked) < LOW_CONFIDENCE]
         self.low_icon.setVisible(bool(low))
-        self.low_title.setText(f"{len(low)} shape{'s' * (len(low) != 1)} below 50%" if low else "No shape below 50%")
+        self.low_title.setText(f"{counted(len(low), 'shape')} below 50%" if low else "No shape below 50%")
         doubt = "Left and right may be mixed up, or the part differs. Paint a correction and fit again."
         which = "the point" if picked is not None else "a point, in the mean over all,"
-        meaning = f"The chance that {which} lies within 5% of where it is shown, on {of} shapes."
+        meaning = f"The chance that {which} lies within 5% of where it is shown, on {counted(of, 'shape')}."
         self.low_text.setText(doubt if low else meaning)
         chosen = len(self.session.selected)
         self.overlay_why.setText(
@@ -162,7 +163,7 @@ class PointInspector(QFrame):
 
     def _show_distances(self, lengths: dict[str, float]) -> None:
         values = np.array(list(lengths.values()))
-        self.distance_of.setText(f"% of size, {len(values)} shapes")
+        self.distance_of.setText(f"% of size, {counted(len(values), 'shape')}")
         self.distance_box.setVisible(len(values) > 0)
         if not len(values):
             return

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from PySide6.QtCore import QObject, Qt, Signal
 from PySide6.QtGui import QPixmap
-from PySide6.QtWidgets import QMenu, QWidget
+from PySide6.QtWidgets import QWidget
 
+from shapeforge.collection.counts import counted
 from shapeforge.viewer.actions import Actions
-from shapeforge.viewer.display import View
 from shapeforge.viewer.mesh_worker import Made, MeshWorker, Wish
 from shapeforge.viewer.pictures import take_picture
 from shapeforge.viewer.qt.bind import Binding, action_button
@@ -24,12 +24,12 @@ from shapeforge.viewer.qt.synthesize_actions import add_actions
 from shapeforge.viewer.qt.synthesize_between import Between
 from shapeforge.viewer.qt.synthesize_draws import Draws
 from shapeforge.viewer.qt.synthesize_inspector import SynthesizeInspector
-from shapeforge.viewer.qt.synthesize_sections import not_learnt
+from shapeforge.viewer.qt.synthesize_sections import not_learnt, shapes_menu
 from shapeforge.viewer.qt.synthesize_shows import Shows
 from shapeforge.viewer.qt.thumbnails import Thumbnails
 from shapeforge.viewer.qt.widgets import column, framed, row
 from shapeforge.viewer.sculptor import Recipe, Sculptor
-from shapeforge.viewer.sculpture import display, heated
+from shapeforge.viewer.sculpture import display, heated, small_view
 from shapeforge.viewer.session import Session
 
 
@@ -201,10 +201,9 @@ class SynthesizePlace:
     def _ask(self, *, preview: bool = False) -> None:
         if self.worker is None or not self._entered or not self.sculptor.has_machine or self.made is not None:
             return
-        recipe = self.sculptor.recipe
-        self.worker.ask(
-            Wish(self._wish, self.points, self.sculptor.exists(), preview, recipe.taken, recipe.route, recipe.union)
-        )
+        sculptor, recipe = self.sculptor, self.sculptor.recipe
+        how = recipe.taken, recipe.route, recipe.union, sculptor.symmetric()
+        self.worker.ask(Wish(self._wish, self.points, sculptor.exists(), preview, *how))
         self._show_words()
 
     def _read_mail(self) -> None:
@@ -301,12 +300,7 @@ class SynthesizePlace:
 
     def choose_shape(self) -> None:
         """A menu of the family's shapes, and of recipes."""
-        menu = QMenu(self.from_button)
-        menu.setStyleSheet("QMenu { menu-scrollable: 1; max-height: 480px; }")
-        menu.addAction(self.actions["open_recipe"].label, lambda: self.actions.run("open_recipe"))
-        menu.addSeparator()
-        for name in self.sculptor.shape_names:
-            menu.addAction(name, lambda name=name: self._from_shape(name))
+        menu = shapes_menu(self.from_button, self.actions, self.sculptor.shape_names, self._from_shape)
         menu.popup(self.from_button.mapToGlobal(self.from_button.rect().bottomLeft()))
 
     def _from_shape(self, name: str) -> None:
@@ -381,7 +375,7 @@ class SynthesizePlace:
 
     def _show_history(self) -> None:
         recipes = self.sculptor.recipes
-        self.strip.caption.setText(f"{len(recipes)} shape{'s' * (len(recipes) != 1)}")
+        self.strip.caption.setText(counted(len(recipes), "shape"))
         self._made_of = {recipe: self._made_of[recipe] for recipe in recipes if recipe in self._made_of}
         self.strip.show_states([(recipe.label, "") for recipe in recipes], self.sculptor.done, self._picture)
         refresh(self.strip, self.session.theme)
@@ -397,11 +391,7 @@ class SynthesizePlace:
         made = self._made_of.get(recipe)
 
         def take() -> np.ndarray:
-            if made is not None:
-                layer: Any = sculptor.mesh_layer(made.shape)
-            else:
-                layer = sculptor.points_layer(sculptor.points(recipe), 2.0)
-            return take_picture(View((layer,)), (128, 104), theme, transparent=True)
+            return take_picture(small_view(sculptor, recipe, made), (128, 104), theme, transparent=True)
 
         key = "draw", id(recipe), id(made), theme, self.session.mesh_colours, sculptor.inks.tobytes()
         return self.thumbnails.pixmap(key, take)

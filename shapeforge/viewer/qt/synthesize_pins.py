@@ -62,12 +62,14 @@ class PinSection(QWidget):
         self._rows = column(spacing=0)
         away = action_button(actions, "unpin_all", binding, kind="link", icon=False)
         head = row(label("Pins", "heading"), self.count, None, away)
-        self.setLayout(column(section(head, self._rows), spacing=0))
+        self.unlike = label("", "caption", wrap=True)
+        self.setLayout(column(section(head, self._rows, self.unlike), spacing=0))
         self.setVisible(False)
 
     def show_pins(self, points: Float[np.ndarray, "K 3"]) -> None:
         """Show the pins of the shape in hand, which has these points."""
-        pins, focus = self._sculptor.pinned(), QApplication.focusWidget()
+        sculptor, focus = self._sculptor, QApplication.focusWidget()
+        pins = sculptor.pinned()
         others = sorted(pins) != sorted(self.rows)
         if others and focus is not None and self.isAncestorOf(focus):
             self.focus_lost.emit()  # it may be gone in a moment, and Qt would give the keys to whatever comes next
@@ -75,6 +77,9 @@ class PinSection(QWidget):
             self._fill(sorted(pins))
         for point, place in pins.items():
             self.rows[point].show_distance(off_by(points, point, place))
+        unlike = [name for name, on in zip(sculptor.part_names, sculptor.symmetric(), strict=True) if not on]
+        self.unlike.setText(f"Pinned unlike on both sides, so not made symmetric: {', '.join(unlike)}.")
+        self.unlike.setVisible(bool(unlike))
         self.count.setText(str(len(pins)))
         self.setVisible(bool(pins))
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QWidget
+from PySide6.QtWidgets import QMenu, QWidget
 
 from shapeforge.viewer.actions import Actions
 from shapeforge.viewer.qt.bind import ENABLING, Binding, action_button
@@ -34,6 +36,17 @@ def not_learnt(actions: Actions, binding: Binding) -> QWidget:
 
     binding.on(ENABLING, show)
     return framed(column(None, title, words, row(None, go, None, margins=(0, 12, 0, 0)), None, spacing=6), "centre")
+
+
+def shapes_menu(parent: QWidget, actions: Actions, names: Sequence[str], take: Callable[[str], None]) -> QMenu:
+    """A menu of the family's shapes to ``take`` one of, and of recipes."""
+    menu = QMenu(parent)
+    menu.setStyleSheet("QMenu { menu-scrollable: 1; max-height: 480px; }")
+    menu.addAction(actions["open_recipe"].label, lambda: actions.run("open_recipe"))
+    menu.addSeparator()
+    for name in names:
+        menu.addAction(name, lambda name=name: take(name))
+    return menu
 
 
 class DrawSection(QWidget):

@@ -223,7 +223,8 @@ class Shows:
 
     def _wish(self, card: int, drawn: Recipe, *, preview: bool) -> Wish:
         sculptor = self.place.sculptor
-        return Wish(card, sculptor.points(drawn), sculptor.exists(drawn), preview, route=drawn.route)
+        points, exists, symmetric = (ask(drawn) for ask in (sculptor.points, sculptor.exists, sculptor.symmetric))
+        return Wish(card, points, exists, preview, route=drawn.route, symmetric=symmetric)
 
     def _look_at(self, card: int, made: Made) -> None:
         """A mesh came for a card: show it, or try another draw in its place.

@@ -21,9 +21,9 @@ from vtkmodules.vtkRenderingCore import vtkCamera
 
 from shapeforge.viewer.display import Display, Mark
 from shapeforge.viewer.framing import contents, framing
-from shapeforge.viewer.look import place_camera
+from shapeforge.viewer.look import angles_of, direction_from, place_camera
 from shapeforge.viewer.palette import rgb, tokens
-from shapeforge.viewer.picking import Number, Pick, Picker, Rectangle, camera_axes, project
+from shapeforge.viewer.picking import Number, Pick, Picker, Rectangle, around, camera_axes, project
 from shapeforge.viewer.pictures import SHADOW
 from shapeforge.viewer.qt.overlay import Overlay, cell_rectangles
 from shapeforge.viewer.scene import Scene
@@ -35,7 +35,6 @@ ZOOM_PER_STEP = 0.88
 SCALE_LIMITS = (0.02, 3.0)
 _RGB = QImage.Format.Format_RGB888
 CLICK_SLACK = 4  # logical pixels a press may wander and still be a click
-NEAR = (3.0, 6.0)  # logical pixels beside a thin leg that still mean the leg
 
 
 class View3D(QWidget):
@@ -155,10 +154,8 @@ class View3D(QWidget):
 
     def turn_to(self, azimuth: Number, elevation: Number) -> None:
         """Look from ``azimuth`` degrees (0 is the front, +z) and ``elevation`` degrees above the floor."""
-        a, e = math.radians(azimuth), math.radians(elevation)
-        direction = (math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e))
         camera = self.scene.camera
-        place_camera(camera, camera.GetFocalPoint(), camera.GetParallelScale(), direction)
+        place_camera(camera, camera.GetFocalPoint(), camera.GetParallelScale(), direction_from(azimuth, elevation))
         self.camera_changed()
 
     def camera_changed(self) -> None:
@@ -243,15 +240,9 @@ class View3D(QWidget):
 
     def pick_near(self, x: Number, y: Number) -> Pick | None:
         """What lies at (x, y) or, where that is the ground, within a few pixels of it: a slat or a leg is thin."""
-        found = self.pick(x, y)
-        cell = self.cell_at(x, y)
-        for distance in NEAR if found is None else ():
-            for turn in range(8):
-                a, b = x + distance * math.cos(turn * math.pi / 4), y + distance * math.sin(turn * math.pi / 4)
-                found = self.pick(a, b) if self.cell_at(a, b) == cell else None
-                if found is not None:
-                    return found
-        return found
+        found, cell = self.pick(x, y), self.cell_at(x, y)
+        about = (self.pick(*at) for at in around(x, y) if self.cell_at(*at) == cell)
+        return next((one for one in about if one is not None), None) if found is None else found
 
     def place_of(self, position: Any, cell: int = 0) -> tuple[float, float]:
         """Logical place (x, y) of a position on the shape of a cell: the inverse of picking, for tests and handles."""
@@ -277,12 +268,10 @@ class View3D(QWidget):
 
     def turn(self, right: Number, down: Number) -> None:
         """Turn by a drag of ``right`` and ``down`` pixels: about the vertical, and up or down, not over the top."""
-        camera = self.scene.camera
-        away = np.array(camera.GetPosition()) - np.array(camera.GetFocalPoint())
-        azimuth = math.degrees(math.atan2(away[0], away[2])) - DEGREES_PER_PIXEL * right
-        elevation = math.degrees(math.asin(np.clip(away[1] / np.linalg.norm(away), -1, 1))) + DEGREES_PER_PIXEL * down
+        azimuth, elevation = angles_of(self.scene.camera)
         self._user_camera = True
-        self.turn_to(azimuth, min(max(elevation, -85.0), 85.0))
+        elevation = min(max(elevation + DEGREES_PER_PIXEL * down, -85.0), 85.0)
+        self.turn_to(azimuth - DEGREES_PER_PIXEL * right, elevation)
 
     def _shift(self, flat: np.ndarray) -> None:
         camera = self.scene.camera

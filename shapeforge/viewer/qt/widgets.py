@@ -40,11 +40,6 @@ def _fill(box: QBoxLayout, items: Sequence[QWidget | QBoxLayout | int | None], s
             box.addWidget(item)
 
 
-def grouped(number: int) -> str:
-    """A whole number with a thin space every three digits: 12 640, the same in every locale."""
-    return f"{number:,}".replace(",", "\u2009")
-
-
 def row(*items: QWidget | QBoxLayout | int | None, spacing: int = 8, margins: Margins = (0, 0, 0, 0)) -> QHBoxLayout:
     """A row of widgets, layouts, spaces (pixels) and stretches (None)."""
     box = QHBoxLayout()
