@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from shapeforge.cli_output import follow, one_line, print_json
+from shapeforge.cli_output import follow, one_line, print_json, speak_plainly
 from shapeforge.cli_results import VERBS
 from shapeforge.cli_words import (
     Jobs,
@@ -34,6 +34,7 @@ app = typer.Typer(
 
 def main() -> None:
     """Entry point of the command; ends the process with its exit status."""
+    speak_plainly()
     sys.exit(run_command(sys.argv[1:]))
 
 

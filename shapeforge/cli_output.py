@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import json
 import math
 import sys
@@ -12,6 +13,33 @@ import typer
 
 QUIET = ("stale", "partial", "start", "learn", "faces")
 """Phases whose steps are no lines of their own where there is no terminal for the bar: rounds are, epochs are not."""
+
+
+PLAIN = {
+    "\N{NARROW NO-BREAK SPACE}": " ",
+    "×": "x",
+    "…": "...",
+    "·": "-",
+    "–": "-",
+    "→": "->",
+    "±": "+-",
+    "°": " degrees",
+}
+"""What is written for a character that a terminal does not know; a question mark for others."""
+
+
+def speak_plainly() -> None:
+    """Let standard output and error write plain characters for those that their encoding does not have."""
+    codecs.register_error("plain", _plain_characters)
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="plain")
+
+
+def _plain_characters(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(PLAIN.get(one, "?") for one in error.object[error.start : error.end]), error.end
 
 
 def follow(project: Any, steps: Iterator[Any], what: str) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from shapeforge.cli import run_command
 from shapeforge.cli_words import names_in
+from shapeforge.collection.counts import THIN
 from shapeforge.collection.families import write_family
 from shapeforge.collection.meshes import read_mesh
 from shapeforge.collection.shape import Mesh
@@ -414,6 +416,16 @@ def test_the_installed_program_answers_quickly() -> None:
     code = "import sys, shapeforge.cli; print(*sorted({m.split('.')[0] for m in sys.modules}))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert {"numba", "scipy", "sklearn", "zarr", "trimesh"}.isdisjoint(done.stdout.split())
+
+
+def test_a_terminal_that_knows_few_characters_gets_plain_ones(tmp_path: Path) -> None:
+    environment = os.environ | {"PYTHONUTF8": "1", "PYTHONIOENCODING": "ascii:strict"}
+    done = subprocess.run(
+        [sys.executable, "-m", "shapeforge.cli", "info", tmp_path / f"2{THIN}000 tables of 3×4…"],
+        capture_output=True, env=environment, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert "2 000 tables of 3x4..." in (done.stdout + done.stderr).decode("ascii")
 
 
 @pytest.mark.slow

@@ -27,7 +27,7 @@ FEWEST_GROUPS = 6
 NEAREST = 5
 """Templates of a part, the nearest by what an affine map leaves, over which each may be linked."""
 
-SHORTER = 0.9
+SHORTER = 0.6
 """Share of its direct round trip to the top that a group's round trip over another must stay below."""
 
 REACHED = 2.0
