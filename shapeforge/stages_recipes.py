@@ -57,7 +57,21 @@ def read_recipe(path: str | Path) -> dict[str, Any]:
         raise StageError(
             f"{path}: wanted a recipe of version 1, as `shapeforge synthesize` writes it beside each mesh."
         )
+    if found.get("bend") and not _is_bend(found["bend"]):
+        raise StageError(
+            f"{path}: wanted a bend of centres and heights (n × 3 numbers each) and a width above 0, got something else. "
+            "Take it out of the file, or make the shape anew."
+        )
     return found
+
+
+def _is_bend(bend: Any) -> bool:
+    try:
+        centres, heights, width = (np.array(bend[key], np.float64) for key in ("centres", "heights", "width"))
+    except (KeyError, TypeError, ValueError):
+        return False
+    right = centres.ndim == 2 and centres.shape[1] == 3 and heights.shape == centres.shape and width.ndim == 0
+    return bool(right and np.isfinite(centres).all() and np.isfinite(heights).all() and 0 < width < np.inf)
 
 
 def remake(project: Project, recipe: Mapping[str, Any], sources: Any = None) -> Any:

@@ -260,6 +260,8 @@ def test_a_part_is_taken_from_the_shape_that_is_named(folder: Path, tmp_path: Pa
         ({"machine": "another"}, "machine another"),
         ({"version": 9}, "version 1"),
         ({"sources": {"seat": "sofa"}}, "sofa"),
+        ({"bend": {"centres": [[0, 0, 0]], "heights": [[0, 0, 0]], "width": 0}}, "width above 0"),
+        ({"bend": {"centres": [[0, 0]], "heights": [[0, 0, 0]], "width": 0.1}}, "x.ply.recipe.json"),
     ],
 )
 def test_a_recipe_of_something_else_is_refused(

@@ -109,16 +109,17 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
         part, energy = _parts_of_pieces(pieces, patches, of_patch, first, n_parts, rng)
     parts = [part[pieces.owner == t][of_point] for t, of_point in enumerate(pieces.of_point)]
     if len(shapes) > 1:
-        root = shapes[int(groups.exemplars[0])].points
-        views = frames, [box_frame(shapes[t].points, root) for t in range(len(shapes))]
-        exposures, components = [], []
+        root, boxes, exposures, components = shapes[int(groups.exemplars[0])].points, [], [], []
         for t in range(len(shapes)):
-            exposures.append(exposure(shapes[t]))
-            components.append(point_components(shapes[t]))
+            shape = shapes[t]  # a lazy sequence reads it from disk
+            boxes.append(box_frame(shape.points, root))
+            exposures.append(exposure(shape))
+            components.append(point_components(shape))
         for _ in range(VOTING_ROUNDS):
             parts = vote(
-                shapes, views, exposures, normal, offset, parts, n_parts, pieces.of_point, pieces.whole, components
-            )
+                shapes, (frames, boxes), exposures, normal, offset, parts, n_parts, pieces.of_point, pieces.whole,
+                components,
+            )  # fmt: skip
     segmentation = tuple(SURE * np.eye(n_parts)[of_point] + (1 - SURE) / n_parts for of_point in parts)
     exemplars = richest_exemplars(groups, parts, n_parts)
     return Proposal(segmentation, tuple(f"part {i + 1}" for i in range(n_parts)), energy, exemplars)

@@ -27,7 +27,7 @@ SEEN = 2.0  # how much seeing all of a side rather than nothing counts beside tu
 # patch, whose bounds are a guess, and on a component, whose bounds the modeller drew.
 PATCH_HEARS, COMPONENT_HEARS = (0.2, 0.2, 0.6, 0.0), (0.1, 0.1, 0.8, 0.3)
 HALF, TOGETHER = 0.5, 0.8  # of the shape: a smaller component that was cut speaks for its pieces, with this share
-LIFT = 2e-3  # diagonals that a ray starts before its point, so that it doesn't meet the surface it leaves
+LIFT = 2e-3  # diagonals off its point where a ray starts, so that it doesn't meet the surface it leaves
 TILT = 0.46  # radians by which the slanting rays of a side leave the vertical
 
 
@@ -54,9 +54,9 @@ def vote(
     """New part (P,) of every point of every shape, from the parts (P,) of like points of the other shapes.
 
     ``views`` hold the frames of all shapes, one voice each, whose mirror plane is ``normal · x = offset``;
-    ``exposures`` the ``exposure`` of every shape; ``components`` the connected component of every point.  A point's
-    vote is averaged with those of its neighbours, of its piece and of its component, so borders stay short.  Needs two
-    shapes at least.
+    ``exposures`` the ``exposure`` of every shape; ``pieces`` and ``whole`` are as ``find_pieces`` gives them, and
+    ``components`` as ``point_components`` does.  A point's vote is averaged with those of its neighbours, of its piece
+    and of its component, so borders stay short.  Needs two shapes at least.
     """
     electorates = [_Electorate(shapes, frames, exposures, normal, offset, parts) for frames in views]
     voted = []
