@@ -59,8 +59,8 @@ def read_recipe(path: str | Path) -> dict[str, Any]:
         )
     if found.get("bend") and not _is_bend(found["bend"]):
         raise StageError(
-            f"{path}: wanted a bend of centres and heights (n × 3 numbers each) and a width above 0, got something else. "
-            "Take it out of the file, or make the shape anew."
+            f"{path}: wanted a bend of centres and heights (n × 3 numbers each) and a width above 0, got something "
+            "else. Take it out of the file, or make the shape anew."
         )
     return found
 
