@@ -11,12 +11,14 @@ from typing import Any
 
 import typer
 
+from shapeforge.collection.counts import THIN
+
 QUIET = ("stale", "partial", "start", "learn", "faces")
 """Phases whose steps are no lines of their own where there is no terminal for the bar: rounds are, epochs are not."""
 
 
 PLAIN = {
-    "\N{NARROW NO-BREAK SPACE}": " ",
+    THIN: " ",
     "×": "x",
     "…": "...",
     "·": "-",
