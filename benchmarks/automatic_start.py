@@ -1,10 +1,11 @@
 """How good are parts that nobody painted?  Proposed parts, and the fit they start, beside the fit of painted exemplars.
 
     python -m benchmarks.automatic_start [--sets ikea_chairs ikea_tables chairs airplanes] [--count 20] [--points 2000]
-        [--rounds 10] [--seed 0] [--proposal-only] [--unpainted] [--json]
+        [--rounds 10] [--seed 0] [--draw 0] [--proposal-only] [--unpainted] [--json]
 
 The ikea sets are read from $SHAPEFORGE_DATA (else ``../shared/data``) and skipped where they are absent; the generated
-sets are always there.  Proposed parts are matched with the truth's one to one, for the whole set at once, so that the
+sets are always there, and those of ``benchmarks.organic`` if asked for.  ``--seed`` draws the points and the generated
+family, ``--draw`` (if not given, the same) the random numbers of the proposal.  Proposed parts are matched with the truth's one to one, for the whole set at once, so that the
 shared area is largest (Hungarian method); what is matched with nothing is wrong.  ``area`` is the share of the area
 whose part is right, ``IoU`` the mean over the true parts of a shape; means over the shapes that no start painted.  The
 last line is one JSON object.
@@ -17,6 +18,7 @@ import csv
 import json
 import os
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,6 +27,8 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from benchmarks.organic import FAMILIES as ORGANIC
+from benchmarks.organic import write_organic
 from shapeforge.collection.families import generate
 from shapeforge.collection.groups import Groups, group_shapes
 from shapeforge.collection.iterate import last
@@ -38,7 +42,8 @@ from shapeforge.deformation.fit import fit_templates
 from shapeforge.validation.segmentation import SegmentationScore, mean_score, score_segmentation
 from shapeforge.validation.statistics import format_table
 
-SETS = ("ikea_chairs", "ikea_tables", "chairs", "airplanes")
+DEFAULT = ("ikea_chairs", "ikea_tables", "chairs", "airplanes")
+SETS = (*DEFAULT, *ORGANIC)
 FOLDERS = {"ikea_chairs": "ikea/chairs", "ikea_tables": "ikea/tables"}
 
 
@@ -54,7 +59,11 @@ class LabelledFamily:
 
 def labelled_family(name: str, count: int | None, *, n_points: int, seed: int) -> LabelledFamily | None:
     """One of ``SETS``, evenly thinned to ``count`` shapes; None where its files are absent."""
-    if name not in FOLDERS:
+    if name in ORGANIC:
+        with tempfile.TemporaryDirectory() as folder:
+            write_organic(Path(folder), name, count or 20, seed=seed)
+            meshes, part_names = _read(Path(folder), None)
+    elif name not in FOLDERS:
         made = generate(name, count or 20, seed=seed)
         meshes = [(one.name, one.mesh, np.asarray(one.faces), one.fine_class) for one in made]
         part_names = made[0].part_names
@@ -63,24 +72,30 @@ def labelled_family(name: str, count: int | None, *, n_points: int, seed: int) -
         folder = (Path(data) if data else Path(__file__).resolve().parent.parent.parent / "shared/data") / FOLDERS[name]
         if not folder.is_dir():
             return None
-        files = sorted(folder.glob("*.obj"))
-        if count is not None and count < len(files):
-            files = [files[i] for i in np.linspace(0, len(files) - 1, count).round().astype(int)]
-        parts = find_part_names(folder)
-        table = folder / "classes.csv"
-        rows = csv.DictReader(table.read_text().splitlines()) if table.is_file() else ()
-        classes = {row["name"]: row["class"] for row in rows}
-        meshes, part_names = [], parts.names
-        for file in files:
-            mesh = read_mesh(file)
-            truth = read_seg(file.with_suffix(".seg"), mesh.n_faces, parts)
-            meshes.append((file.stem, mesh, np.asarray(truth), classes.get(file.stem, "")))
+        meshes, part_names = _read(folder, count)
     shapes = [
         prepare_shape(stem, mesh, n_points=n_points, up="y", rng=np.random.default_rng([seed, i]))
         for i, (stem, mesh, _, _) in enumerate(meshes)
     ]
     columns = list(zip(*meshes, strict=True))
     return LabelledFamily(tuple(shapes), columns[2], tuple(part_names), columns[3])
+
+
+def _read(folder: Path, count: int | None) -> tuple[list, tuple[str, ...]]:
+    """Name, mesh, true part of every face and class of ``count`` shapes (None: all) of a folder; names of the parts."""
+    files = sorted(folder.glob("*.obj"))
+    if count is not None and count < len(files):
+        files = [files[i] for i in np.linspace(0, len(files) - 1, count).round().astype(int)]
+    parts = find_part_names(folder)
+    table = folder / "classes.csv"
+    rows = csv.DictReader(table.read_text().splitlines()) if table.is_file() else ()
+    classes = {row["name"]: row["class"] for row in rows}
+    meshes = []
+    for file in files:
+        mesh = read_mesh(file)
+        truth = read_seg(file.with_suffix(".seg"), mesh.n_faces, parts)
+        meshes.append((file.stem, mesh, np.asarray(truth), classes.get(file.stem, "")))
+    return meshes, parts.names
 
 
 def matched_parts(tables: Sequence[np.ndarray]) -> np.ndarray:
@@ -153,6 +168,7 @@ def fitted(family: LabelledFamily, groups: Groups, rounds: int, labels: dict, na
 def run(name: str, options: argparse.Namespace) -> dict | None:
     """All figures of one set; None where it is absent."""
     seed, rounds, proposal_only = options.seed, options.rounds, options.proposal_only
+    draw = seed if options.draw is None else options.draw
     family = labelled_family(name, options.count or None, n_points=options.points, seed=seed)
     if family is None:
         return None
@@ -165,7 +181,7 @@ def run(name: str, options: argparse.Namespace) -> dict | None:
         result["painted"] = fitted(family, groups, rounds, labels, family.part_names, None, kept)
     for start, n_parts in (("given", n_true), ("chosen", None)):
         begin = time.process_time()
-        proposal = propose_parts(family.shapes, groups, n_parts=n_parts, rng=np.random.default_rng(seed))
+        proposal = propose_parts(family.shapes, groups, n_parts=n_parts, rng=np.random.default_rng(draw))
         seconds = time.process_time() - begin
         found = score_points(family, proposal.segmentation, kept)
         result[start] = {"proposal": found | {"energy": proposal.energy, "cpu_seconds": seconds}}
@@ -195,11 +211,12 @@ def print_table(results: dict) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--sets", nargs="+", default=list(SETS), choices=SETS)
+    parser.add_argument("--sets", nargs="+", default=list(DEFAULT), choices=SETS)
     parser.add_argument("--count", type=int, default=20, help="shapes of a set; 0: all (of a generated one 20)")
     parser.add_argument("--points", type=int, default=2000)
     parser.add_argument("--rounds", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--draw", type=int)
     parser.add_argument("--proposal-only", action="store_true", help="no fits")
     parser.add_argument("--unpainted", action="store_true", help="without the fits of painted exemplars")
     parser.add_argument("--json", action="store_true", help="only the last line")

@@ -42,7 +42,6 @@ TAUGHT = 60  # shapes that the boxes are learnt from; the pieces of the others f
 ALIKE = 7  # pieces that a piece of another shape follows
 PRESENT = 0.01  # of its points: a shape with less of a part does not have it
 COMMON = 0.2  # of the shapes: a part that fewer have makes no exemplar (it may be one odd back)
-VOTING_ROUNDS = 2
 
 # How much a feature of unit variance counts.  Where a patch ends in height tells more than where its middle is; the six
 # PCA features and the three diameters say much the same, so they share one voice.
@@ -102,9 +101,9 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
     # One BLAS thread: sums must not depend on how many there are.
     with threadpool_limits(1):
         features = standardized(patches.views[0], patches.weight) * _WEIGHTS
-        clearest, number = choose_number(features, patches.weight, rng=rng)
+        number = choose_number(features, patches.weight, rng=rng)
         n_parts = number if n_parts is None else n_parts
-        first = min(clearest, n_parts)
+        first = min(number, n_parts)
         of_patch = cluster_patches(features, patches.weight, first, rng=rng)[0]
         part, energy = _parts_of_pieces(pieces, patches, of_patch, first, n_parts, rng)
     parts = [part[pieces.owner == t][of_point] for t, of_point in enumerate(pieces.of_point)]
@@ -115,11 +114,10 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
             boxes.append(box_frame(shape.points, root))
             exposures.append(exposure(shape))
             components.append(point_components(shape))
-        for _ in range(VOTING_ROUNDS):
-            parts = vote(
-                shapes, (frames, boxes), exposures, normal, offset, parts, n_parts, pieces.of_point, pieces.whole,
-                components,
-            )  # fmt: skip
+        parts = vote(
+            shapes, (frames, boxes), exposures, normal, offset, parts, n_parts, pieces.of_point, pieces.whole,
+            components,
+        )  # fmt: skip
     segmentation = tuple(SURE * np.eye(n_parts)[of_point] + (1 - SURE) / n_parts for of_point in parts)
     exemplars = richest_exemplars(groups, parts, n_parts)
     return Proposal(segmentation, tuple(f"part {i + 1}" for i in range(n_parts)), energy, exemplars)
@@ -245,11 +243,10 @@ def cluster_patches(
 
 def choose_number(
     features: Float[np.ndarray, "n F"], weight: Float[np.ndarray, " n"], *, rng: np.random.Generator
-) -> tuple[int, int]:
-    """The number of parts from 2 to 8 with the best weighted silhouette less a small cost of every part, and how many
-    there shall be when nobody says: the same, but that two have to lead by ``TWO_LEAD``.
+) -> int:
+    """The number of parts from 2 to 8 with the best weighted silhouette, less a small cost of every part.
 
-    One half against the other is nearly always clear, and seldom all there is.
+    Two have to lead by ``TWO_LEAD``: one half against the other is nearly always clear, and seldom all there is.
     """
     used = np.flatnonzero(weight > 0)
     if len(used) > SILHOUETTE_ROWS:
@@ -257,12 +254,12 @@ def choose_number(
     features, weight = features[used], weight[used]
     tried = range(FEWEST, min(MOST, len(np.unique(features, axis=0)) - 1) + 1)
     if len(tried) == 0:
-        return 1, 1
+        return 1
     distance = cdist(features, features)
     scores = [silhouette(distance, cluster_patches(features, weight, k, rng=rng)[0], weight) for k in tried]
     number = np.array(tried)
-    worth = np.array(scores) - PART_COST * number
-    return tried[int(worth.argmax())], tried[int((worth - TWO_LEAD * (number == FEWEST)).argmax())]
+    worth = np.array(scores) - PART_COST * number - TWO_LEAD * (number == FEWEST)
+    return tried[int(worth.argmax())]
 
 
 def silhouette(

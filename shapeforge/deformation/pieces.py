@@ -1,8 +1,8 @@
 """The pieces that proposed parts are put together from, described in frames that all shapes share.
 
 A modeller builds a chair of boards: faces that hang together mostly belong together.  So a *piece* is a connected
-component of the mesh where that is convex enough to be one thing, else a patch of it.  What is one component from the
-floor to the top falls back on patches, and so do crumbs.
+component of the mesh where that is convex enough to be one thing, else one of the convex pieces that it is made of
+(``convex_pieces``).  What is one component from the floor to the top is cut, too, and crumbs fall into their patches.
 """
 
 from __future__ import annotations
@@ -19,13 +19,12 @@ from shapeforge.collection.align import LARGEST_STRETCH, SMALLEST_STRETCH, Align
 from shapeforge.collection.facecut import edge_neighbours
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.shape import Mesh, Shape
+from shapeforge.deformation.convex_pieces import CONVEX, across, merged_patches, see_each_other
 
-WHOLE = 0.8  # share of the pairs of points that see each other from within, above which a component is one piece
 TALL = 0.66  # of the shape's height: a post from the floor to the top is leg and back, however convex
 CRUMB = 0.01  # of the points: smaller components are cut as the patches are
 SLIVER = 0.004  # of the points: what is left of a patch in a component; smaller ones join their neighbours
 PAIRED = 150  # points of a component whose pairs are looked at
-LEVEL = 0.01  # diagonals above the tangent plane that still count as below
 
 
 def find_pieces(shape: Shape) -> tuple[Int[np.ndarray, " P"], Bool[np.ndarray, " n"]]:
@@ -34,12 +33,15 @@ def find_pieces(shape: Shape) -> tuple[Int[np.ndarray, " P"], Bool[np.ndarray, "
     number, height = len(component), float(np.ptp(shape.points[:, 1]))
     piece = np.full(number, -1, np.int64)
     whole: list[bool] = []
+    opposite = None
     for one in np.flatnonzero(np.bincount(component) >= CRUMB * number):
         rows = np.flatnonzero(component == one)
         inside = np.zeros(len(rows), np.int64)
         tall = np.ptp(shape.points[rows, 1]) > TALL * height
-        if tall or convexity(shape.points[rows], shape.normals[rows]) <= WHOLE:
+        if tall or convexity(shape.points[rows], shape.normals[rows]) <= CONVEX:
             inside = _without_slivers(shape.points[rows], shape.patch[rows], max(2.0, SLIVER * number))
+            opposite = across(shape) if opposite is None else opposite
+            inside = merged_patches(shape, rows, inside, opposite, TALL * height)
         piece[rows] = len(whole) + inside
         whole += [bool(inside.max() == 0)] * (int(inside.max()) + 1)
     crumbs = np.flatnonzero(piece < 0)
@@ -67,13 +69,11 @@ def face_components(mesh: Mesh) -> Int[np.ndarray, " F"]:
 
 
 def convexity(points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]) -> float:
-    """Share of the pairs of surface points of which neither lies above the other's tangent plane: 1 for convex."""
+    """Share of the pairs of surface points that see each other from within (``see_each_other``): 1 for convex."""
     points, normals = thinned(points, PAIRED), thinned(normals, PAIRED)
     if len(points) < 2:
         return 1.0
-    height = np.einsum("ijk,ik->ij", points[None] - points[:, None], normals)
-    above = (height > LEVEL) | (height.T > LEVEL)
-    return float(1.0 - above[~np.eye(len(points), dtype=bool)].mean())
+    return float(see_each_other(points, normals)[~np.eye(len(points), dtype=bool)].mean())
 
 
 def _without_slivers(points: np.ndarray, patch: np.ndarray, least: float) -> np.ndarray:

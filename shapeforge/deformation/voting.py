@@ -19,8 +19,11 @@ from shapeforge.collection.rays import first_hits
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation.pieces import placed
 
+ROUNDS = 10  # of voting, at most; it ends where nothing changes
 VOTES = 30
-VOTERS, VOTED = 12_000, 1000  # points of all shapes that vote; points of a shape that are voted on
+VOTERS = 12_000  # points of all shapes that vote
+VOTED, ALL_VOTED = 1000, 300_000  # points of a shape, and about as many of all, that are voted on
+FEWEST_VOTED = 200
 REACH = 0.12  # diagonals that count as much as turning the normal by a right angle
 SEEN = 2.0  # how much seeing all of a side rather than nothing counts beside turning the normal
 # What a point hears: like points' votes on itself, on its neighbours, on its whole piece, and what it was before; on a
@@ -56,24 +59,36 @@ def vote(
     ``views`` hold the frames of all shapes, one voice each, whose mirror plane is ``normal · x = offset``;
     ``exposures`` the ``exposure`` of every shape; ``pieces`` and ``whole`` are as ``find_pieces`` gives them, and
     ``components`` as ``point_components`` does.  A point's vote is averaged with those of its neighbours, of its piece
-    and of its component, so borders stay short.  Needs two shapes at least.
+    and of its component, so borders stay short.  They vote again on what came of it, ``ROUNDS`` times at most.  Needs
+    two shapes at least.
     """
-    electorates = [_Electorate(shapes, frames, exposures, normal, offset, parts) for frames in views]
-    voted = []
-    for t in range(len(shapes)):
-        shape, piece = shapes[t], pieces[t]
-        own = np.mean([electorate.votes(shape, t, n_parts) for electorate in electorates], axis=0)
-        present = shape.neighbours >= 0
-        around = (own[shape.neighbours] * present[:, :, None]).sum(axis=1)
-        around = around / np.maximum(present.sum(axis=1, keepdims=True), 1)
-        of_piece = _mean_of(own, piece)
-        small = (np.bincount(components[t])[components[t]] < HALF * len(piece))[:, None]
-        of_piece = np.where(small, (1 - TOGETHER) * of_piece + TOGETHER * _mean_of(own, components[t]), of_piece)
-        before = parts[t][:, None] == np.arange(n_parts)
-        hears = np.where(whole[t][piece][:, None], COMPONENT_HEARS, PATCH_HEARS)
-        heard = zip(hears.T[:, :, None], (own, around, of_piece, before), strict=True)
-        voted.append(sum(loud * voice for loud, voice in heard).argmax(axis=1))
-    return voted
+    electorates = [_Electorate(shapes, frames, exposures, normal, offset) for frames in views]
+    for _ in range(ROUNDS):
+        said = [np.concatenate([thinned(part, electorate.share) for part in parts]) for electorate in electorates]
+        voted = []
+        for t in range(len(shapes)):
+            opinions = [one.votes(t, these, n_parts) for one, these in zip(electorates, said, strict=True)]
+            own = np.mean(opinions, axis=0)
+            voted.append(_decided(own, shapes[t], parts[t], pieces[t], whole[t], components[t]))
+        settled = all(np.array_equal(new, old) for new, old in zip(voted, parts, strict=True))
+        parts = voted
+        if settled:
+            break
+    return list(parts)
+
+
+def _decided(own: np.ndarray, shape: Shape, part: np.ndarray, piece: np.ndarray, whole: np.ndarray, component: Any):
+    """The part (P,) of every point of a shape after all that it hears, from the votes (P, L) on itself."""
+    present = shape.neighbours >= 0
+    around = (own[shape.neighbours] * present[:, :, None]).sum(axis=1)
+    around = around / np.maximum(present.sum(axis=1, keepdims=True), 1)
+    of_piece = _mean_of(own, piece)
+    small = (np.bincount(component)[component] < HALF * len(piece))[:, None]
+    of_piece = np.where(small, (1 - TOGETHER) * of_piece + TOGETHER * _mean_of(own, component), of_piece)
+    before = part[:, None] == np.arange(own.shape[1])
+    hears = np.where(whole[piece][:, None], COMPONENT_HEARS, PATCH_HEARS)
+    heard = zip(hears.T[:, :, None], (own, around, of_piece, before), strict=True)
+    return sum(loud * voice for loud, voice in heard).argmax(axis=1)
 
 
 def _mean_of(votes: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -83,29 +98,35 @@ def _mean_of(votes: np.ndarray, group: np.ndarray) -> np.ndarray:
 
 
 class _Electorate:
-    """Points of all shapes in one view, and the parts they say they belong to."""
+    """Points of all shapes in one view, and who votes on whom: that does not change from round to round."""
 
-    def __init__(self, shapes, frames, exposures, normal, offset, parts) -> None:
+    def __init__(self, shapes: Any, frames, exposures, normal: np.ndarray, offset: float) -> None:
         self.frames, self.exposures, self.plane = frames, exposures, (normal, offset)
-        self.number = len(shapes)
-        share = max(2, VOTERS // self.number)
-        voters = [thinned(self._likeness(shapes[t], t), share) for t in range(self.number)]
-        self.tree = cKDTree(np.concatenate(voters))
-        self.said = np.concatenate([thinned(part, share) for part in parts])
-        self.of_shape = np.repeat(np.arange(self.number), [len(rows) for rows in voters])
-
-    def votes(self, shape: Shape, t: int, n_parts: int) -> Float[np.ndarray, "P L"]:
-        """Probability of every part at every point of shape ``t``, by the nearest points of the others."""
-        rows = self._likeness(shape, t)
-        asked = thinned(rows, VOTED)
+        number = len(shapes)
+        self.share = max(2, VOTERS // number)
+        voters = [thinned(self._likeness(shapes[t], t), self.share) for t in range(number)]
+        tree = cKDTree(np.concatenate(voters))
+        of_shape = np.repeat(np.arange(number), [len(rows) for rows in voters])
         # The own points are found, too, but have no vote: enough others must be among the nearest.
-        k = min(VOTES + VOTES // (self.number - 1), len(self.said))
-        distance, near = self.tree.query(asked, k=k)
-        width = np.maximum(distance[:, : k // 2 + 1].mean(axis=1, keepdims=True), 1e-9)
-        weight = np.exp(-0.5 * (distance / width) ** 2) * (self.of_shape[near] != t)
-        votes = np.stack([(weight * (self.said[near] == part)).sum(axis=1) for part in range(n_parts)], axis=1) + 1e-9
+        k = min(VOTES + VOTES // (number - 1), len(of_shape))
+        n_voted = int(np.clip(ALL_VOTED // number, FEWEST_VOTED, VOTED))
+        self.ballots = []
+        for t in range(number):
+            rows = self._likeness(shapes[t], t)
+            asked = thinned(rows, n_voted)
+            distance, near = tree.query(asked, k=k)
+            width = np.maximum(distance[:, : k // 2 + 1].mean(axis=1, keepdims=True), 1e-9)
+            weight = np.exp(-0.5 * (distance / width) ** 2) * (of_shape[near] != t)
+            follows = cKDTree(asked).query(rows)[1]
+            # small, as there may be a thousand shapes
+            self.ballots.append((near.astype(np.int32), weight.astype(np.float32), follows.astype(np.int32)))
+
+    def votes(self, t: int, said: Int[np.ndarray, " V"], n_parts: int) -> Float[np.ndarray, "P L"]:
+        """Probability of every part at every point of shape ``t``, by what the nearest points of the others ``said``."""
+        near, weight, follows = self.ballots[t]
+        votes = np.stack([(weight * (said[near] == part)).sum(axis=1) for part in range(n_parts)], axis=1) + 1e-9
         votes /= votes.sum(axis=1, keepdims=True)
-        return votes[cKDTree(asked).query(rows)[1]]
+        return votes[follows].astype(np.float64)
 
     def _likeness(self, shape: Shape, t: int) -> Float[np.ndarray, "P 11"]:
         """Rows, near for like points: place folded at the mirror plane, squared normal, thickness, geodesics, and what
