@@ -5,10 +5,10 @@
 
 The ikea sets are read from $SHAPEFORGE_DATA (else ``../shared/data``) and skipped where they are absent; the generated
 sets are always there, and those of ``benchmarks.organic`` if asked for.  ``--seed`` draws the points and the generated
-family, ``--draw`` (if not given, the same) the random numbers of the proposal.  Proposed parts are matched with the truth's one to one, for the whole set at once, so that the
-shared area is largest (Hungarian method); what is matched with nothing is wrong.  ``area`` is the share of the area
-whose part is right, ``IoU`` the mean over the true parts of a shape; means over the shapes that no start painted.  The
-last line is one JSON object.
+family, ``--draw`` (if not given, the same) the random numbers of the proposal.  Proposed parts are matched with the
+truth's one to one, for the whole set at once, so that the shared area is largest (Hungarian method); what is matched
+with nothing is wrong.  ``area`` is the share of the area whose part is right, ``IoU`` the mean over the true parts of a
+shape; means over the shapes that no start painted.  The last line is one JSON object.
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ class _Electorate:
             self.ballots.append((near.astype(np.int32), weight.astype(np.float32), follows.astype(np.int32)))
 
     def votes(self, t: int, said: Int[np.ndarray, " V"], n_parts: int) -> Float[np.ndarray, "P L"]:
-        """Probability of every part at every point of shape ``t``, by what the nearest points of the others ``said``."""
+        """Probability of every part at every point of shape ``t``, by what like points of the others ``said``."""
         near, weight, follows = self.ballots[t]
         votes = np.stack([(weight * (said[near] == part)).sum(axis=1) for part in range(n_parts)], axis=1) + 1e-9
         votes /= votes.sum(axis=1, keepdims=True)
