@@ -19,7 +19,7 @@ from shapeforge.collection.rays import first_hits
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation.pieces import placed
 
-ROUNDS = 10  # of voting, at most; it ends where nothing changes
+ROUNDS = 6  # of voting, at most; it ends where nothing changes
 VOTES = 30
 VOTERS = 12_000  # points of all shapes that vote
 VOTED, ALL_VOTED = 1000, 300_000  # points of a shape, and about as many of all, that are voted on
