@@ -77,7 +77,9 @@ def vote(
     return list(parts)
 
 
-def _decided(own: np.ndarray, shape: Shape, part: np.ndarray, piece: np.ndarray, whole: np.ndarray, component: Any):
+def _decided(
+    own: np.ndarray, shape: Shape, part: np.ndarray, piece: np.ndarray, whole: np.ndarray, component: np.ndarray
+) -> Int[np.ndarray, " P"]:
     """The part (P,) of every point of a shape after all that it hears, from the votes (P, L) on itself."""
     present = shape.neighbours >= 0
     around = (own[shape.neighbours] * present[:, :, None]).sum(axis=1)
