@@ -35,7 +35,7 @@ from shapeforge.deformation.voting import exposure, vote
 SURE = 0.7  # share of the probability that goes to the proposed part; the rest is spread evenly (Q(S) at the start)
 FEWEST, MOST = 2, 8  # parts that are tried when no number is given
 PART_COST = 0.006  # of the silhouette, for every part: among numbers that are about as good, rather the smaller
-TWO_LEAD = 0.05  # of the silhouette: two parts only if so much clearer; merging two is one step, missing one costs more
+TWO_LEAD = 0.08  # of the silhouette: two parts only if so much clearer; merging two is one step, missing one costs more
 STARTS = 10  # of the clustering; the best is kept
 SILHOUETTE_ROWS = 3000  # patches on which numbers of parts are compared
 TAUGHT = 60  # shapes that the boxes are learnt from; the pieces of the others follow like pieces of these
