@@ -87,6 +87,16 @@ def test_pieces_of_a_post_are_no_taller_than_allowed():
     assert len(spans) == 2 and max(spans) < 0.6 * height
 
 
+def test_what_does_not_touch_stays_apart_however_well_it_sees_each_other():
+    """Two wings without the body between them."""
+    left, right = (trimesh.creation.box((1, 0.02, 0.5), np.eye(4) + np.eye(4, k=3) * x) for x in (-0.8, 0.8))
+    shape = shape_of(trimesh.util.concatenate([left, right]))
+    patch = (shape.points[:, 0] > np.median(shape.points[:, 0])).astype(int)
+    assert see_each_other(shape.points, shape.normals).mean() > 0.9
+    piece = convex_pieces.merged_patches(shape, np.arange(shape.n_points), patch, across(shape), 1.0)
+    assert np.array_equal(piece, patch)
+
+
 @pytest.mark.parametrize("thick", [0.05, 0.5])
 def test_across_a_board_lies_its_other_side_and_across_a_block_nothing(thick):
     shape = shape_of(trimesh.creation.box((1.4, thick, 1.0)))
