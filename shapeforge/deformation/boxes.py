@@ -28,6 +28,7 @@ from shapeforge.deformation.pieces import (
     common_frame,
     find_pieces,
     piece_features,
+    piece_looks,
     point_components,
 )
 from shapeforge.deformation.voting import exposure, vote
@@ -54,8 +55,13 @@ _WEIGHTS = np.array(
     + [0.4]  # average geodesic distance
     + [0.25] * 6  # local PCA
 )
-# The boxes learn what matters; extents are half of what they are.
-BOX_WEIGHTS = np.array([1.0] * 11 + [3**-0.5] * 3 + [0.4] + [0.25] * 6)
+_SAME_IN_BOTH = [3**-0.5] * 3 + [0.4] + [0.25] * 6  # shape diameter, average geodesic distance, local PCA
+# Boxes look at how level a piece is, not at where its sides face, and besides at what it is by itself: how many there
+# are of its kind, how long, how flat, and what it sees above and below.  Height is half said by the ends.
+_BOX_WEIGHTS = np.array([1, 0.5, 1, 1, 1, 1, 0, 1, 0, 1.4, 0, *_SAME_IN_BOTH])
+_LOOKS_WEIGHTS = np.array([1, 0.5, 0.4, 0.6, 0.6])
+# What is one part but for a last split differs by where it lies and how large it is, not by how many there are of it.
+SPLIT_WEIGHTS = np.array([1.0] * 11 + _SAME_IN_BOTH)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +104,7 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
     frames = common_frame(shapes, groups)
     normal, offset, _ = symmetry_plane(shapes[int(groups.exemplars[0])].points)
     patches, pieces = gathered(shapes, groups, frames, normal, offset)
+    exposures, looks = _seen(shapes, pieces)
     # One BLAS thread: sums must not depend on how many there are.
     with threadpool_limits(1):
         features = standardized(patches.views[0], patches.weight) * _WEIGHTS
@@ -105,14 +112,13 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
         n_parts = number if n_parts is None else n_parts
         first = min(number, n_parts)
         of_patch = cluster_patches(features, patches.weight, first, rng=rng)[0]
-        part, energy = _parts_of_pieces(pieces, patches, of_patch, first, n_parts, rng)
+        part, energy = _parts_of_pieces(pieces, looks, patches, of_patch, first, n_parts, rng)
     parts = [part[pieces.owner == t][of_point] for t, of_point in enumerate(pieces.of_point)]
     if len(shapes) > 1:
-        root, boxes, exposures, components = shapes[int(groups.exemplars[0])].points, [], [], []
+        root, boxes, components = shapes[int(groups.exemplars[0])].points, [], []
         for t in range(len(shapes)):
             shape = shapes[t]  # a lazy sequence reads it from disk
             boxes.append(box_frame(shape.points, root))
-            exposures.append(exposure(shape))
             components.append(point_components(shape))
         parts = vote(
             shapes, (frames, boxes), exposures, normal, offset, parts, n_parts, pieces.of_point, pieces.whole,
@@ -150,18 +156,33 @@ def gathered(
     return gathered[0], gathered[1]
 
 
+def _seen(shapes: Any, pieces: _Pieces) -> tuple[list[np.ndarray], np.ndarray]:
+    """What the points of every shape see (see ``exposure``), and the looks of all pieces (n, 5)."""
+    exposures, looks = [], []
+    for t in range(len(shapes)):
+        shape = shapes[t]
+        exposures.append(exposure(shape))
+        looks.append(piece_looks(shape, pieces.of_point[t], exposures[t]))
+    return exposures, np.concatenate(looks)
+
+
 def _parts_of_pieces(
-    pieces: _Pieces, patches: _Pieces, of_patch: np.ndarray, first: int, n_parts: int, rng: np.random.Generator
-) -> tuple[np.ndarray, float]:
+    pieces: _Pieces, looks: np.ndarray, patches: _Pieces, of_patch: np.ndarray, first: int, n_parts: int,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, float]:  # fmt: skip
     """Part (n,) of every piece, numbered by falling weight, and the relative energy (see ``Proposal``)."""
     owner, weight = pieces.owner, pieces.weight
-    views = [standardized(view, weight) * BOX_WEIGHTS for view in pieces.views]
-    every = np.concatenate(views, axis=1) / np.sqrt(len(views))
+    plain = [standardized(view, weight) for view in pieces.views]
+    looks = standardized(looks, weight) * _LOOKS_WEIGHTS
+    views = [np.concatenate([view * _BOX_WEIGHTS, looks], axis=1) for view in plain]
+    every, apart = (
+        np.concatenate(rows, axis=1) / np.sqrt(len(rows)) for rows in (views, [view * SPLIT_WEIGHTS for view in plain])
+    )
     n_shapes = int(owner.max()) + 1
     taught = np.isin(owner, np.unique(np.linspace(0, n_shapes - 1, min(n_shapes, TAUGHT)).round().astype(np.int64)))
     first = min(first, len(np.unique(every[taught], axis=0)))
     others = [
-        cluster_patches(standardized(pieces.views[0], weight) * _WEIGHTS, weight, first, rng=rng)[0],
+        cluster_patches(plain[0] * _WEIGHTS, weight, first, rng=rng)[0],
         _from_patches(pieces, patches, of_patch, first),
     ]
     shape_of = np.unique(owner[taught], return_inverse=True)[1].reshape(-1)
@@ -170,7 +191,7 @@ def _parts_of_pieces(
         others=[np.minimum(other[taught], first - 1) for other in others],
     )  # fmt: skip
     for _ in range(n_parts - first):
-        part = split_most_distinct(every[taught], shape_of, weight[taught], part, rng=rng)
+        part = split_most_distinct(apart[taught], shape_of, weight[taught], part, rng=rng)
     if not taught.all():
         near = cKDTree(every[taught]).query(every[~taught], k=min(ALIKE, len(part)))[1].reshape((~taught).sum(), -1)
         votes = np.stack([(part[near] == one).sum(axis=1) for one in range(n_parts)], axis=1)

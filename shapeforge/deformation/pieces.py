@@ -25,6 +25,9 @@ TALL = 0.66  # of the shape's height: a post from the floor to the top is leg an
 CRUMB = 0.01  # of the points: smaller components are cut as the patches are
 SLIVER = 0.004  # of the points: what is left of a patch in a component; smaller ones join their neighbours
 PAIRED = 150  # points of a component whose pairs are looked at
+SAME_EXTENT, LEAST_EXTENT = 0.2, 0.006  # share, and diagonals, by which extents of copies may differ
+SAME_AREA, DRAWN = 1.3, 3.0  # their areas' ratio, and deviations of the numbers of points that fall on them by chance
+MOST_COPIES = 8  # more are as telling
 
 
 def find_pieces(shape: Shape) -> tuple[Int[np.ndarray, " P"], Bool[np.ndarray, " n"]]:
@@ -147,6 +150,35 @@ def piece_features(
         if len(members):  # not the very ends: one stray point would move them
             low[p], high[p] = np.quantile(places[members], [0.05, 0.95], axis=0)
     return np.concatenate([means[:, :3], low[:, 1:2], high[:, 1:2], high - low, means[:, 3:]], axis=1)
+
+
+def piece_looks(
+    shape: Shape, piece: Int[np.ndarray, " P"], exposure: Float[np.ndarray, "P 3"]
+) -> Float[np.ndarray, "n 5"]:
+    """What pieces are by themselves, wherever they lie: how many of a kind there are in the shape (log2, with itself),
+    how long and how flat they are (0 to 1), and how much they see of what is above and below.
+
+    Legs, arms and engines come in twos and fours, a seat or a fuselage but once.  ``exposure`` is as in ``voting``.
+    """
+    count = np.bincount(piece)
+    many = np.maximum(count, 1)[:, None]
+    means = [np.stack([np.bincount(piece, column) for column in rows.T], axis=1) / many
+             for rows in (shape.points, exposure[:, :2])]  # fmt: skip
+    off = shape.points - means[0][piece]
+    spread = np.stack([np.bincount(piece, off[:, i] * off[:, j]) for i in range(3) for j in range(3)], axis=1) / many
+    extent = np.sqrt(np.maximum(np.linalg.eigvalsh(spread.reshape(-1, 3, 3)), 0.0))[:, ::-1]
+    longest = np.maximum(extent[:, :1], 1e-9)
+    return np.concatenate([np.log2(_copies(extent, count))[:, None], -np.diff(extent) / longest, means[1]], axis=1)
+
+
+def _copies(extent: Float[np.ndarray, "n 3"], count: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """How many pieces of ``count`` points each, itself among them, are as large as each, by their extents (n, 3)."""
+    larger = np.maximum(extent[:, None], extent)
+    alike = (np.abs(extent[:, None] - extent) < np.maximum(SAME_EXTENT * larger, LEAST_EXTENT)).all(axis=2)
+    count = np.maximum(count, 1)
+    fewer = np.minimum(count[:, None], count)
+    alike &= np.maximum(count[:, None], count) / fewer < SAME_AREA + DRAWN / np.sqrt(fewer)
+    return np.minimum(alike.sum(axis=1), MOST_COPIES)
 
 
 def placed(

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.symmetry import symmetry_plane
 from shapeforge.deformation.box_model import halves
-from shapeforge.deformation.boxes import BOX_WEIGHTS, SURE, Proposal, gathered, richest_exemplars, standardized
+from shapeforge.deformation.boxes import SPLIT_WEIGHTS, SURE, Proposal, gathered, richest_exemplars, standardized
 from shapeforge.deformation.pieces import common_frame
 
 EditKind = Literal["rename", "merge", "split"]
@@ -88,7 +88,7 @@ def split_part(proposal: Proposal, part: int, shapes: Any, groups: Groups, *, rn
     )
     rows, weight = np.flatnonzero(inside >= 0.5), pieces.weight * inside
     with threadpool_limits(1):
-        views = [standardized(view[rows], weight[rows]) * BOX_WEIGHTS for view in pieces.views] if len(rows) else []
+        views = [standardized(view[rows], weight[rows]) * SPLIT_WEIGHTS for view in pieces.views] if len(rows) else []
         off = halves(np.concatenate(views, axis=1) / np.sqrt(len(views)), weight[rows], rng=rng) if views else None
     if off is None:
         raise ValueError(f"edits: {proposal.part_names[part]!r} cannot be split; its pieces are all alike")

@@ -1,8 +1,9 @@
 """Shapes vote on proposed parts: a point goes to the part that like points of the *other* shapes belong to.
 
-That mends pieces that were cut badly.  Points are alike that lie in the same place, face the same way, are as thick and
-as far from everything, and see as much of what is above, below and around them: a table's top sees the sky, a shelf
-does not.
+That mends pieces that were cut badly.  Points are alike that lie in the same place (rather as high than as far out),
+face as much upwards or sideways, are as thick and as far from everything, and see as much of what is above, below and
+around them: a table's top sees the sky, a shelf does not.  Which way sideways a point faces says nothing: a leg has
+sides all around.
 """
 
 from __future__ import annotations
@@ -24,8 +25,9 @@ VOTES = 30
 VOTERS = 12_000  # points of all shapes that vote
 VOTED, ALL_VOTED = 1000, 300_000  # points of a shape, and about as many of all, that are voted on
 FEWEST_VOTED = 200
-REACH = 0.12  # diagonals that count as much as turning the normal by a right angle
-SEEN = 2.0  # how much seeing all of a side rather than nothing counts beside turning the normal
+REACH, ACROSS = 0.12, 0.17  # diagonals, up and sideways, that count as much as tipping the normal by a right angle
+THICK, INNER = 1.4, 0.5  # how much the shape diameter counts, and the average geodesic distance
+SEEN = 2.4, 1.6, 1.6  # how much it counts to see all rather than nothing of what is above, below and around
 # What a point hears: like points' votes on itself, on its neighbours, on its whole piece, and what it was before; on a
 # patch, whose bounds are a guess, and on a component, whose bounds the modeller drew.
 PATCH_HEARS, COMPONENT_HEARS = (0.2, 0.2, 0.6, 0.0), (0.1, 0.1, 0.8, 0.3)
@@ -130,10 +132,10 @@ class _Electorate:
         votes /= votes.sum(axis=1, keepdims=True)
         return votes[follows].astype(np.float64)
 
-    def _likeness(self, shape: Shape, t: int) -> Float[np.ndarray, "P 11"]:
-        """Rows, near for like points: place folded at the mirror plane, squared normal, thickness, geodesics, and what
+    def _likeness(self, shape: Shape, t: int) -> Float[np.ndarray, "P 9"]:
+        """Rows, near for like points: place folded at the mirror plane, how level it is, thickness, geodesics, and what
         is seen."""
         places, normals = placed(shape, self.frames[t], *self.plane)
-        places = np.concatenate([np.abs(places[:, :1]), places[:, 1:]], axis=1)
-        described = [shape.descriptors[:, [0, 3]] * [2, 1], SEEN * self.exposures[t]]
-        return np.concatenate([places / REACH, normals**2, *described], axis=1)
+        places = np.concatenate([np.abs(places[:, :1]), places[:, 1:]], axis=1) / [ACROSS, REACH, ACROSS]
+        described = [shape.descriptors[:, [0, 3]] * [THICK, INNER], self.exposures[t] * SEEN]
+        return np.concatenate([places, normals[:, 1:2] ** 2, *described], axis=1)

@@ -16,6 +16,7 @@ from shapeforge.collection.align import affine_align
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.prepare import prepare_shape
 from shapeforge.collection.shape import Frame, Mesh, Shape
+from shapeforge.deformation import boxes, voting
 from shapeforge.deformation.boxes import (
     SURE,
     TWO_LEAD,
@@ -26,16 +27,17 @@ from shapeforge.deformation.boxes import (
     silhouette,
 )
 from shapeforge.deformation.pieces import common_frame
+from tests.deformation.test_pieces import mesh_of
 
 
 def chair(seed: int) -> tuple[Shape, np.ndarray]:
     """A chair of box patches: a patch and (0 legs, 1 seat, 2 back) per box; descriptors tell little."""
     rng = np.random.default_rng(seed)
     width, leg, back = rng.uniform(0.4, 0.5), rng.uniform(0.35, 0.5), rng.uniform(0.3, 0.45)
-    boxes = [((0.05, leg, 0.05), (x * width * 0.45, -leg / 2, z * 0.2), 0) for x in (-1, 1) for z in (-1, 1)]
-    boxes += [((width, 0.05, 0.45), (0, 0, 0), 1), ((width, back, 0.04), (0, back / 2, -0.2), 2)]
+    parts = [((0.05, leg, 0.05), (x * width * 0.45, -leg / 2, z * 0.2), 0) for x in (-1, 1) for z in (-1, 1)]
+    parts += [((width, 0.05, 0.45), (0, 0, 0), 1), ((width, back, 0.04), (0, back / 2, -0.2), 2)]
     points, normals, patch, truth = [], [], [], []
-    for number, (size, centre, part) in enumerate(boxes):
+    for number, (size, centre, part) in enumerate(parts):
         box = trimesh.creation.box(size)
         sample, face = trimesh.sample.sample_surface(box, int(120 + 600 * box.area), seed=seed * 10 + number)
         points.append(np.asarray(sample) + centre)
@@ -130,6 +132,28 @@ def test_common_frame_goes_through_the_groups_exemplar(chairs):
     through = affine_align(shapes[3].points, shapes[0].points)(first(shapes[4].points))
     assert np.allclose(frames[4](shapes[4].points), through)
     assert np.linalg.norm(through - shapes[4].points, axis=1).mean() > 1e-3
+
+
+def rack(seed: int) -> tuple[Shape, np.ndarray]:
+    """Four rods (0) and a slab (1) that lie anywhere in any direction: nothing but their looks tells which is which."""
+    rng = np.random.default_rng(seed)
+    kinds = [((0.5, 0.06, 0.06), 0)] * 4 + [((0.4, 0.3, 0.06), 1)]
+    made = [
+        trimesh.creation.box(rng.permutation(size), trimesh.transformations.translation_matrix(at))
+        for (size, _), at in zip(kinds, rng.uniform(-1, 1, (5, 3)), strict=True)
+    ]
+    shape = prepare_shape(f"rack {seed}", mesh_of(*made), n_points=500, up="y", rng=rng)
+    return shape, np.repeat([part for _, part in kinds], 12)[shape.face_of_point]
+
+
+def test_copies_are_one_part_wherever_they_lie(monkeypatch):
+    monkeypatch.setattr(voting, "ROUNDS", 0)
+    shapes, truths = zip(*[rack(seed) for seed in range(10)], strict=True)
+    start = propose_parts(shapes, one_group(10), n_parts=2, rng=np.random.default_rng(0))
+    assert matched(start.segmentation, truths) > 0.9
+    monkeypatch.setattr(boxes, "_LOOKS_WEIGHTS", np.zeros(5))
+    blind = propose_parts(shapes, one_group(10), n_parts=2, rng=np.random.default_rng(0))
+    assert matched(blind.segmentation, truths) < 0.8
 
 
 def test_number_is_that_of_clear_clusters():

@@ -7,7 +7,8 @@ import trimesh
 
 from shapeforge.collection.prepare import prepare_shape
 from shapeforge.collection.shape import Mesh, Shape
-from shapeforge.deformation.pieces import box_frame, convexity, face_components, find_pieces
+from shapeforge.deformation.pieces import box_frame, convexity, face_components, find_pieces, piece_looks
+from shapeforge.deformation.voting import exposure
 
 
 def mesh_of(*boxes: trimesh.Trimesh) -> Mesh:
@@ -70,3 +71,28 @@ def test_box_frame_maps_box_onto_box():
     points, target = rng.random((50, 3)) * [1, 2, 1], rng.random((60, 3)) * [2, 2, 1] + 5
     moved = box_frame(points, target)(points)
     assert np.allclose(moved.min(axis=0), target.min(axis=0)) and np.allclose(moved.max(axis=0), target.max(axis=0))
+
+
+def test_legs_are_four_and_long_and_a_top_is_alone_flat_and_sees_the_sky():
+    """By itself a leg is told from a top, a beam and a fifth, thicker leg."""
+    legs = [box((0.06, 0.5, 0.06), (x, 0.25, z)) for x in (-0.5, 0.5) for z in (-0.5, 0.5)]
+    top, beam, thick = (
+        box((1.4, 0.05, 1.4), (0, 0.6, 0)),
+        box((0.8, 0.06, 0.06), (0, 0.3, 0)),
+        box((0.15, 0.5, 0.15), (0, 0.25, 0.3)),
+    )
+    shape = shape_of(*legs, top, beam, thick)
+    thing = shape.face_of_point // 12
+    copies, long, flat, above, below = piece_looks(shape, thing, exposure(shape)).T
+    assert np.array_equal(copies, [2, 2, 2, 2, 0, 0, 0])
+    assert (long[[0, 1, 2, 3, 5]] > 0.8).all() and 0.5 < long[6] < long[5] and long[4] < 0.1
+    assert flat[4] > 0.9 and (np.delete(flat, 4) < 0.1).all()
+    assert above[4] > 0.4 and (np.delete(above, 4) < 0.15).all()
+    assert (below > 0.3).all() and (below < 0.7).all()
+
+
+def test_a_leg_that_lies_is_a_copy_of_one_that_stands():
+    """Blades of a propeller, spokes of a foot: copies may be turned."""
+    shape = shape_of(*(box(tuple(np.roll([0.6, 0.06, 0.1], turn)), (turn, 0, 0)) for turn in range(3)))
+    copies = piece_looks(shape, shape.face_of_point // 12, exposure(shape))[:, 0]
+    assert np.allclose(copies, np.log2(3))
