@@ -2,8 +2,11 @@
 
 φ1 explains surface by what is near, so an engine where the exemplar has none is taken for the wing it hangs under.
 But it looks like an engine.  Every connected piece of the surface that its own part explains badly is compared with
-the template's components, each moved onto it, stretched to its box and mirrored; where a component of another part
+the components of templates, each moved onto it, stretched to its box and mirrored; where a component of another part
 fits far better than the piece is explained now, the piece is taken for a copy of it.
+
+Compared are components as exemplars have them.  In the family's own templates, put together from those of several
+exemplars, what touches is one component: an engine and its pylon, which look like no engine.
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from shapeforge.collection.align import thinned
 from shapeforge.collection.points import nearest_points
@@ -42,9 +45,13 @@ the piece belongs to now."""
 STRETCH = (0.6, 1.67)
 """Stretches of a component along the axes; the piece may be a little larger or smaller still."""
 
-TALLEST, LEVEL = 2.5, 0.12
-"""Ratio of the extents at most; how much higher or lower than the template's component a copy may lie, in diagonals or
-in heights of the shape: a slat of the back looks like a leg, but legs stand on the floor."""
+TALLEST = 2.5
+"""Ratio of the extents at most, both lengthened by ``REACH``: by so little templates may be bent or thickened by what
+they learn from all shapes, and a thin component is a multiple of itself then."""
+
+LEVEL = 0.12
+"""How much higher or lower than the template's component a copy may lie, in diagonals or in heights of the shape: a
+slat of the back looks like a leg, but legs stand on the floor."""
 
 ALIKE = 0.01
 """Extents and height (diagonals) within which two components of a part are looked at as one."""
@@ -66,12 +73,17 @@ class Copy:
 
 
 def find_copies(
-    shape: Shape, templates: Sequence[PartTemplates], beliefs: Beliefs, label: Int[np.ndarray, " P"]
+    shape: Shape,
+    templates: Sequence[PartTemplates],
+    beliefs: Beliefs,
+    label: Int[np.ndarray, " P"],
+    compared: Sequence[int] = (),
 ) -> tuple[Copy, ...]:
     """Pieces of the surface that are copies of components of other parts than ``label`` (P,) now has them as.
 
-    ``beliefs`` are those of the exemplar that explains the shape best; components of its template are compared, and of
-    the other ``templates`` those of parts that it lacks.  Pieces with painted points stay as they are.
+    ``beliefs`` are those that say where the templates lie on the shape.  Components of the ``compared`` templates
+    (indices; none: those of ``beliefs``) are looked at, and of others those of parts that these lack.  Pieces with
+    painted points stay as they are.
     """
     template = templates[beliefs.template]
     alive = np.flatnonzero(beliefs.alive(template.label))
@@ -85,20 +97,28 @@ def find_copies(
     painted = np.bincount(component, beliefs.evidence >= 0) > 0
     small = (size >= FEWEST) & (size <= LARGEST * len(component))
     asked = np.flatnonzero(small & ~painted & ((cost > EXPLAINED) | (wide > FAR * gap.mean())))
+    if not len(asked):
+        return ()
     found: list[Copy] = []
-    known: list[_Component] | None = None
+    known = _components(templates, beliefs.template, compared or (beliefs.template,))
+    whole = beliefs.to_family(shape.points)
     for one in asked.tolist():
         rows = np.flatnonzero(component == one)
-        known = _components(templates, beliefs.template) if known is None else known
-        points, facing = beliefs.to_family(shape.points[rows]), beliefs.to_family(shape.normals[rows])
+        points, facing = (thinned(beliefs.to_family(of[rows]), COMPARED) for of in (shape.points, shape.normals))
+        points, extent, middle = _centred(points)
         present = int(np.bincount(label[rows], minlength=template.n_parts).argmax())
-        few = thinned(points, COMPARED), thinned(facing, COMPARED)
-        costs = _likeness(*few, beliefs.to_family(shape.points), known, present, template.n_parts)
-        part = int(costs.argmin())
+        others = [of for of in known if of.part != present and _may_be(of, extent, _level(middle, whole))]
+        if not others:
+            continue
+        costs = [_likeness(points, facing, extent, of) for of in others]
+        likest = int(np.argmin(costs))
         most = LIKENESS if wide[one] > FAR * gap.mean() else LIKENESS_NEAR
-        likely = costs[part] < min(most, cost[one] - BETTER, costs[present] - RIVAL)
-        if part != present and likely:
-            found.append(Copy(part, rows))
+        if costs[likest] >= min(most, cost[one] - BETTER):
+            continue
+        # of the part that it is now components of any size and level count
+        own = (_likeness(points, facing, extent, of) for of in known if of.part == present)
+        if costs[likest] < min(own, default=np.inf) - RIVAL:
+            found.append(Copy(others[likest].part, rows))
     return tuple(found)
 
 
@@ -111,14 +131,17 @@ class _Component:
     normals: np.ndarray
 
 
-def _components(templates: Sequence[PartTemplates], best: int) -> list[_Component]:
-    """The components that have points enough, centred: those of the best template, others' of parts that it lacks."""
+def _components(templates: Sequence[PartTemplates], leading: int, compared: Sequence[int]) -> list[_Component]:
+    """The components that have points enough, centred: those of the ``compared`` templates, others' of parts that these
+    lack.  The others are the ``leading`` ones, unless these are compared themselves: then all."""
     found: list[_Component] = []
-    has = templates[best].has_part()
-    for g, template in enumerate(templates):
+    has = np.any([templates[g].has_part() for g in compared], axis=0)
+    others = [g for g in range(len(templates)) if g not in compared] if leading in compared else [leading]
+    for g in (*compared, *others):
+        template = templates[g]
         for part, number in np.unique(np.stack([template.label, template.component], axis=1), axis=0).tolist():
             rows = np.flatnonzero((template.label == part) & (template.component == number))
-            if len(rows) < FEWEST or (has[part] and g != best):
+            if len(rows) < FEWEST or (has[part] and g not in compared):
                 continue
             points, extent, middle = _centred(template.points[rows])
             level = _level(middle, template.points)
@@ -145,25 +168,17 @@ def _level(middle: np.ndarray, whole: np.ndarray) -> tuple[float, float]:
     return float(middle[1]), (float(middle[1]) - low) / max(high - low, 1e-9)
 
 
-def _likeness(
-    points: np.ndarray, normals: np.ndarray, whole: np.ndarray, components: list[_Component], present: int, n_parts: int
-) -> Float[np.ndarray, " L"]:
-    """Least cost (L,) of a piece as a copy of a component of each part, both ways; infinite where there is none.
+def _may_be(one: _Component, extent: np.ndarray, level: tuple[float, float]) -> bool:
+    """Whether a piece of this ``extent`` (3,) and ``level`` is of about the size of a component, and about as high."""
+    ratio = (extent + REACH) / (one.extent + REACH)
+    apart = min(abs(here - there) for here, there in zip(level, one.level, strict=True))
+    return bool(ratio.max() < TALLEST and ratio.min() > 1 / TALLEST and apart < LEVEL)
 
-    Components of another size or level count for the ``present`` part only.
-    """
-    costs = np.full(n_parts, np.inf)
-    points, extent, middle = _centred(points)
-    level = _level(middle, whole)
-    for one in components:
-        ratio = (extent + 0.01) / (one.extent + 0.01)
-        fits = ratio.max() < TALLEST and ratio.min() > 1 / TALLEST
-        fits &= min(abs(here - there) for here, there in zip(level, one.level, strict=True)) < LEVEL
-        if not fits and one.part != present:
-            continue
-        placed = one.points * np.clip(ratio, *STRETCH) * MIRRORED
-        costs[one.part] = min(costs[one.part], _apart(points, normals, placed, one.normals * MIRRORED))
-    return costs
+
+def _likeness(points: np.ndarray, normals: np.ndarray, extent: np.ndarray, one: _Component) -> float:
+    """Least cost of a centred piece (n, 3) of this ``extent`` (3,) as a copy of a component, both ways."""
+    ratio = np.clip((extent + REACH) / (one.extent + REACH), *STRETCH)
+    return _apart(points, normals, one.points * ratio * MIRRORED, one.normals * MIRRORED)
 
 
 def _apart(points: np.ndarray, normals: np.ndarray, placed: np.ndarray, facing: np.ndarray) -> float:

@@ -40,6 +40,9 @@ NOWHERE = -6.0
 """Log odds that an exemplar's word counts for, to whose template of a part hardly any surface was left: it may sit
 elsewhere on this shape, a tailplane on top of the fin, and another exemplar that is sure of it is to be believed."""
 
+AS_GOOD = 1.0
+"""Nats behind the best explanation up to which an exemplar explains a shape about as well."""
+
 COMPACT = ("deformed", "variance", "segmentation")
 """Arrays of the beliefs that a fit holds in single precision, of every shape and exemplar."""
 
@@ -97,6 +100,14 @@ def worth_hearing(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
     """The candidates without those that explain the shape so much worse than the best that nobody would hear them."""
     least = min(candidate.misfit for candidate in candidates)
     return tuple(candidate for candidate in candidates if candidate.misfit < least + WORTHLESS)
+
+
+def as_good(candidates: Sequence[Candidate]) -> tuple[int, ...]:
+    """Template sets of the exemplars that explain the shape about as well as the best explanation, the best first; none
+    where only the family's own templates do."""
+    least = min(candidate.misfit for candidate in candidates)
+    near = (one for one in candidates if not one.family and one.misfit < least + AS_GOOD)
+    return tuple(dict.fromkeys(one.beliefs.template for one in sorted(near, key=lambda one: one.misfit)))
 
 
 def leading(candidates: Sequence[Candidate]) -> Candidate:
@@ -213,7 +224,7 @@ def with_copies(
         for one in candidates
     ]
     blended = blend(bare)
-    found = find_copies(shape, templates, blended, blended.segmentation.argmax(axis=1))
+    found = find_copies(shape, templates, blended, blended.segmentation.argmax(axis=1), as_good(bare))
     if not found:
         return tuple(bare)
     copies = np.full(shape.n_points, -1, np.int32)

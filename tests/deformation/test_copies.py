@@ -13,7 +13,8 @@ from shapeforge.collection.groups import Groups
 from shapeforge.collection.iterate import last
 from shapeforge.deformation.apply import fit_candidates
 from shapeforge.deformation.copies import find_copies
-from shapeforge.deformation.exemplars import blend
+from shapeforge.deformation.exemplars import AS_GOOD, as_good, blend, weighted, with_copies
+from shapeforge.deformation.existence import without
 from shapeforge.deformation.faces import Explanations, explanations, label_faces
 from shapeforge.deformation.fit import fit_templates
 from shapeforge.deformation.templates import template_from_exemplar
@@ -118,6 +119,72 @@ def test_new_shapes_have_copies_too_and_they_are_stored(two_and_four, tmp_path):
     read = read_record(tmp_path / "fit.zarr.zip")[0]
     for before, after in zip(state.beliefs, read.beliefs, strict=True):
         np.testing.assert_array_equal(before.copies, after.copies)
+
+
+def grown_together(template):
+    """The template as a family's may be put together: what touches is one component, here all engines and pylons."""
+    engine = template.label == template.part_names.index("engine")
+    return replace(template, component=np.where(engine, 0, template.component).astype(np.int32), source="")
+
+
+def with_family(state, t: int, behind: float):
+    """Templates and candidates of shape t, with the same as the family's own; the exemplar is ``behind`` (nats)."""
+    (one,) = state.candidates[t]
+    bare = replace(one, beliefs=replace(one.beliefs, copies=np.zeros(0, np.int32)))
+    family = replace(bare, beliefs=replace(bare.beliefs, template=1), misfit=one.misfit - behind, family=True)
+    return (state.templates[0], grown_together(state.templates[0])), weighted([bare, family])
+
+
+def test_pieces_look_like_components_of_exemplars_and_not_of_the_family(two_and_four):
+    _, state, shapes = two_and_four
+    for t in (1, 2):
+        known = np.flatnonzero(state.beliefs[t].copies >= 0)
+        templates, candidates = with_family(state, t, behind=0.5 * AS_GOOD)
+        blended = blend(candidates)
+        assert len(known) and blended.template == 1
+        assert find_copies(shapes[t], templates, blended, blended.segmentation.argmax(axis=1)) == ()
+        np.testing.assert_array_equal(
+            np.flatnonzero(with_copies(shapes[t], templates, candidates)[0].beliefs.copies >= 0), known
+        )
+
+
+def test_exemplars_that_do_not_explain_a_shape_are_not_compared(two_and_four):
+    _, state, shapes = two_and_four
+    for behind, compared in ((0.5, (0,)), (-0.5, (0,)), (1.5, ())):
+        templates, candidates = with_family(state, 1, behind * AS_GOOD)
+        assert as_good(candidates) == compared
+        found = with_copies(shapes[1], templates, candidates)[0].beliefs.copies
+        assert bool(len(found)) == bool(compared)
+
+
+def test_a_piece_that_its_own_part_has_in_some_exemplar_is_no_copy(two_and_four):
+    """The rail of one chair is no arm of another's base, if a third has such a rail."""
+    (_, made), state, shapes = two_and_four
+    beliefs, wing = state.beliefs[1], made[0].part_names.index("wing")
+    labels = beliefs.segmentation.argmax(axis=1)
+    labels[beliefs.copies >= 0] = wing
+    names = component_of_face(made[1])
+    pods = np.isin(names, ["outer engine left", "outer engine right", "outer pylon left", "outer pylon right"])
+    otherwise = template_from_exemplar(shapes[2], np.where(pods, wing, made[1].faces), made[1].part_names)
+    templates = (state.templates[0], otherwise)
+    assert find_copies(shapes[1], templates, beliefs, labels, (0,))
+    assert find_copies(shapes[1], templates, beliefs, labels, (0, 1)) == ()
+
+
+def test_a_thin_component_may_be_thicker_in_the_template(two_and_four):
+    """The tailplane is found though that of the template rises three times as high: hardly a gap tells them apart."""
+    (_, made), state, shapes = two_and_four
+    part, template = made[0].part_names.index("tailplane"), state.templates[0]
+    mine, points = template.label == part, template.points.copy()
+    middle = points[mine, 1].mean()
+    points[mine, 1] = middle + (points[mine, 1] - middle) * 0.056 / np.ptp(points[mine, 1])
+    for t in (1, 2):
+        beliefs, true = without(state.beliefs[t], part), made[t - 1].faces[shapes[t].face_of_point]
+        label = beliefs.segmentation.argmax(axis=1)
+        assert np.ptp(shapes[t].points[true == part, 1]) < 0.056 / 3 and (label != part).all()
+        found = find_copies(shapes[t], (template.moved(points),), beliefs, label)
+        rows = np.concatenate([one.rows for one in found if one.part == part])
+        assert (true[rows] == part).all() and len(rows) > 0.9 * (true == part).sum()
 
 
 def test_a_fifth_leg_is_a_leg():
