@@ -28,6 +28,7 @@ PLAY_BELIEF, USUAL_PLAY = 2.0, 0.1  # shapes' worth of belief in the usual play
 TEMPERS = (0.25, 0.5, 1.0)  # power of its area with which a piece counts: small parts need a voice, too
 STARTS = 6
 BESIDE = 0.8  # share of its shapes on which a part split off lies beside the rest; else it is another kind of the same
+NEARLY = 0.1  # halves that are less distinct by no larger a share are about as distinct
 FEWEST_SPLIT, FEWEST_OFF, LEAST_SHARE = 8, 3, 0.003  # pieces to split, pieces split off, and their share of the area
 
 
@@ -162,10 +163,11 @@ def split_most_distinct(
 ) -> Int[np.ndarray, " n"]:  # fmt: skip
     """``part`` (n,) with one part more: the smaller side of the most distinct halves that any part falls into.
 
-    Halves are fits of two boxes; distinct is the Bhattacharyya distance of their Gaussians.  What is split off must
+    Halves are fits of two boxes; distinct is the Bhattacharyya distance of their Gaussians.  Of those that are about as
+    distinct the smallest is split off: had it been large, it would have been found before.  What is split off must
     occur on two shapes at least.  Returns ``part`` where nothing can be split.
     """
-    most, chosen = 0.0, None
+    found: list[tuple[float, float, np.ndarray]] = []
     for one in range(int(part.max()) + 1):
         rows = np.flatnonzero(part == one)
         if len(rows) < FEWEST_SPLIT:
@@ -178,12 +180,12 @@ def split_most_distinct(
                 continue
             if np.isin(where, owner[rest]).mean() < BESIDE:
                 continue
-            distance = bhattacharyya(features[off], features[rest])
-            if distance > most:
-                most, chosen = distance, off
+            found.append((bhattacharyya(features[off], features[rest]), float(weight[off].sum()), off))
     split = part.copy()
-    if chosen is not None:
-        split[chosen] = int(part.max()) + 1
+    if found:
+        most = max(distance for distance, *_ in found)
+        about_as_distinct = (one for one in found if one[0] >= (1 - NEARLY) * most)
+        split[min(about_as_distinct, key=lambda one: one[1])[2]] = int(part.max()) + 1
     return split
 
 

@@ -83,6 +83,17 @@ def test_the_most_distinct_halves_are_split_and_the_smaller_gets_the_new_number(
     assert not lonely.any()
 
 
+@pytest.mark.parametrize(("gap", "off"), [(1.02, 3), (1.6, 1)])
+def test_of_about_equally_distinct_halves_the_smallest_is_split_off(gap, off):
+    """Part 0 holds 0 and 1, part 1 holds 2 and a few pieces of 3; 1 lies ``gap`` times as far from 0 as 3 from 2."""
+    rng = np.random.default_rng(0)
+    truth = np.repeat([0, 1, 2, 3], [40, 40, 60, 12])
+    at = 3.0 * np.array([0.0, gap, 8.0, 9.0])[truth]
+    features = np.stack([at + rng.normal(0, 0.05, len(at)), rng.normal(0, 0.05, len(at))], axis=1)
+    split = split_most_distinct(features, np.arange(len(at)) % 4, np.ones(len(at)), truth // 2, rng=rng)
+    assert (split[truth == off] == 2).all() and not (split[truth != off] == 2).any()
+
+
 def test_bhattacharyya_of_equal_sets_is_zero_and_grows_with_the_gap():
     rows = np.random.default_rng(0).random((30, 3))
     assert bhattacharyya(rows, rows) == pytest.approx(0)
