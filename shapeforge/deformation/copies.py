@@ -4,9 +4,6 @@
 But it looks like an engine.  Every connected piece of the surface that its own part explains badly is compared with
 the components of templates, each moved onto it, stretched to its box and mirrored; where a component of another part
 fits far better than the piece is explained now, the piece is taken for a copy of it.
-
-Compared are components as exemplars have them.  In the family's own templates, put together from those of several
-exemplars, what touches is one component: an engine and its pylon, which look like no engine.
 """
 
 from __future__ import annotations
