@@ -129,10 +129,15 @@ def grown_together(template):
 
 def with_family(state, t: int, behind: float):
     """Templates and candidates of shape t, with the same as the family's own; the exemplar is ``behind`` (nats)."""
+    return (state.templates[0], grown_together(state.templates[0])), twice(state, t, behind)
+
+
+def twice(state, t: int, behind: float):
+    """Candidates of shape t: the exemplar's, and the same as the family's own, by the second template."""
     (one,) = state.candidates[t]
     bare = replace(one, beliefs=replace(one.beliefs, copies=np.zeros(0, np.int32)))
     family = replace(bare, beliefs=replace(bare.beliefs, template=1), misfit=one.misfit - behind, family=True)
-    return (state.templates[0], grown_together(state.templates[0])), weighted([bare, family])
+    return weighted([bare, family])
 
 
 def test_pieces_look_like_components_of_exemplars_and_not_of_the_family(two_and_four):
@@ -146,6 +151,20 @@ def test_pieces_look_like_components_of_exemplars_and_not_of_the_family(two_and_
         np.testing.assert_array_equal(
             np.flatnonzero(with_copies(shapes[t], templates, candidates)[0].beliefs.copies >= 0), known
         )
+
+
+def test_what_the_family_knows_comes_before_what_exemplars_do(two_and_four):
+    """Pods are engines by the family, though an exemplar has such things at its fuselage."""
+    (_, made), state, shapes = two_and_four
+    engine, fuselage = (made[0].part_names.index(name) for name in ("engine", "fuselage"))
+    label = state.templates[0].label
+    otherwise = replace(state.templates[0], label=np.where(label == engine, fuselage, label).astype(label.dtype))
+    templates, candidates = (otherwise, state.templates[0]), twice(state, 1, 0.5 * AS_GOOD)
+    blended = blend(candidates)
+    found = find_copies(shapes[1], templates, blended, blended.segmentation.argmax(axis=1), as_good(candidates))
+    assert fuselage in {one.part for one in found}
+    copies = with_copies(shapes[1], templates, candidates)[0].beliefs.copies
+    assert set(copies[copies >= 0].tolist()) == {engine}
 
 
 def test_exemplars_that_do_not_explain_a_shape_are_not_compared(two_and_four):
