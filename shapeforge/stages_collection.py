@@ -215,10 +215,23 @@ def cosegment(task: Task) -> Iterator[Progress]:
     if not project.labelled:
         part_names = PartNames(tuple(range(number)), tuple(proposal.part_names), _chosen_colours(project))
         project.set_part_names(part_names)
-    text = f"{number} parts proposed" if not options["edits"] else f"{number} parts: {', '.join(proposal.part_names)}"
+    text = proposed_text(proposal, edited=bool(options["edits"]))
     task.summary |= {"text": text, "parts": number, "energy": float(getattr(proposal, "energy", np.nan))}
     task.summary["part_names"] = list(proposal.part_names)
     yield task.progress("propose", 1, 1, text, state=proposal)
+
+
+def proposed_text(proposal: Any, *, edited: bool) -> str:
+    """What a proposal says of itself: how many parts, and which of them the shapes do not agree on."""
+    names, found_on = proposal.part_names, proposal.shapes_with()
+    text = f"{len(names)} parts: {', '.join(names)}" if edited else f"{len(names)} parts proposed"
+    few = min(2, len(proposal.segmentation))
+    lost = [name for name, count in zip(names, found_on.tolist(), strict=True) if count < few]
+    if not lost:
+        return text
+    are = "is" if len(lost) == 1 else "are"
+    agreed = len(names) - len(lost)
+    return f"{text}; {', '.join(lost)} {are} found on hardly any shape: they agree on {agreed} (ask for {agreed})"
 
 
 def edits_of(project: Project, *more: Sequence[str], **given: Any) -> list[list[str]]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 from sklearn.cluster import KMeans
@@ -76,6 +76,10 @@ class Proposal:
     part_names: tuple[str, ...]
     energy: float
     exemplars: Int[np.ndarray, " G"]
+
+    def shapes_with(self) -> Int[np.ndarray, " L"]:
+        """How many shapes have each part (L,): where it is the likeliest one of a hundredth of the points."""
+        return _present([one.argmax(axis=1) for one in self.segmentation], len(self.part_names)).sum(axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +226,7 @@ def _from_patches(pieces: _Pieces, patches: _Pieces, of_patch: np.ndarray, n_par
 def richest_exemplars(groups: Groups, parts: list[np.ndarray], n_parts: int) -> Int[np.ndarray, " G"]:
     """An exemplar (G,) for every group among its shapes with the most parts (§2): its own if that is one of them, else
     the one nearest to the whole group.  Only parts that are common in the collection count."""
-    has = np.stack([np.bincount(part, minlength=n_parts) >= PRESENT * len(part) for part in parts])
+    has = _present(parts, n_parts)
     has = has[:, has.mean(axis=0) >= COMMON]
     distance = groups.dissimilarity if groups.dissimilarity is not None else cdist(groups.embedding, groups.embedding)
     exemplars = groups.exemplars.copy()
@@ -233,6 +237,10 @@ def richest_exemplars(groups: Groups, parts: list[np.ndarray], n_parts: int) -> 
         if exemplars[g] not in richest:
             exemplars[g] = richest[distance[np.ix_(richest, members)].mean(axis=1).argmin()]
     return exemplars
+
+
+def _present(parts: list[np.ndarray], n_parts: int) -> Bool[np.ndarray, "T L"]:
+    return np.stack([np.bincount(part, minlength=n_parts) >= PRESENT * len(part) for part in parts])
 
 
 def standardized(features: Float[np.ndarray, "n F"], weight: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n F"]:

@@ -20,6 +20,7 @@ from shapeforge.deformation import boxes, voting
 from shapeforge.deformation.boxes import (
     SURE,
     TWO_LEAD,
+    Proposal,
     choose_number,
     cluster_patches,
     propose_parts,
@@ -27,6 +28,7 @@ from shapeforge.deformation.boxes import (
     silhouette,
 )
 from shapeforge.deformation.pieces import common_frame
+from shapeforge.stages_collection import proposed_text
 from tests.deformation.test_pieces import mesh_of
 
 
@@ -154,6 +156,19 @@ def test_copies_are_one_part_wherever_they_lie(monkeypatch):
     monkeypatch.setattr(boxes, "_LOOKS_WEIGHTS", np.zeros(5))
     blind = propose_parts(shapes, one_group(10), n_parts=2, rng=np.random.default_rng(0))
     assert matched(blind.segmentation, truths) < 0.8
+
+
+def test_a_proposal_says_which_parts_hardly_any_shape_has():
+    sure = np.eye(4) * 0.6 + 0.1
+    labels = np.array([0] * 50 + [1] * 50), np.array([0] * 50 + [1] * 49 + [2]), np.array([0, 1, 3, 3] * 25)
+    proposal = Proposal(tuple(sure[one] for one in labels), ("seat", "leg", "part 3", "arm"), 0.5, np.array([0]))
+    assert proposal.shapes_with().tolist() == [3, 3, 1, 1]
+    text = "4 parts proposed; part 3, arm are found on hardly any shape: they agree on 2 (ask for 2)"
+    assert proposed_text(proposal, edited=False) == text
+    alone = replace(proposal, segmentation=proposal.segmentation[2:], part_names=("seat", "leg", "part 3", "arm"))
+    assert "part 3 is found on hardly any" in proposed_text(alone, edited=True)
+    both = replace(alone, segmentation=(sure[:, :2][np.array([0, 1])],) * 2, part_names=("seat", "leg"))
+    assert proposed_text(both, edited=True) == "2 parts: seat, leg"
 
 
 def test_number_is_that_of_clear_clusters():
