@@ -106,9 +106,10 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
     if n_parts is not None and n_parts < 1:
         raise ValueError(f"n_parts: wanted at least 1, got {n_parts}")
     frames = common_frame(shapes, groups)
-    normal, offset, _ = symmetry_plane(shapes[int(groups.exemplars[0])].points)
+    root = shapes[int(groups.exemplars[0])].points
+    normal, offset, _ = symmetry_plane(root)
     patches, pieces = gathered(shapes, groups, frames, normal, offset)
-    exposures, looks = _seen(shapes, pieces)
+    boxes, exposures, components, looks = _seen(shapes, root, pieces)
     # One BLAS thread: sums must not depend on how many there are.
     with threadpool_limits(1):
         features = standardized(patches.views[0], patches.weight) * _WEIGHTS
@@ -119,11 +120,6 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
         part, energy = _parts_of_pieces(pieces, looks, patches, of_patch, first, n_parts, rng)
     parts = [part[pieces.owner == t][of_point] for t, of_point in enumerate(pieces.of_point)]
     if len(shapes) > 1:
-        root, boxes, components = shapes[int(groups.exemplars[0])].points, [], []
-        for t in range(len(shapes)):
-            shape = shapes[t]  # a lazy sequence reads it from disk
-            boxes.append(box_frame(shape.points, root))
-            components.append(point_components(shape))
         parts = vote(
             shapes, (frames, boxes), exposures, normal, offset, parts, n_parts, pieces.of_point, pieces.whole,
             components,
@@ -160,14 +156,19 @@ def gathered(
     return gathered[0], gathered[1]
 
 
-def _seen(shapes: Any, pieces: _Pieces) -> tuple[list[np.ndarray], np.ndarray]:
-    """What the points of every shape see (see ``exposure``), and the looks of all pieces (n, 5)."""
-    exposures, looks = [], []
+def _seen(
+    shapes: Any, root: np.ndarray, pieces: _Pieces
+) -> tuple[list[Alignment], list[np.ndarray], list[np.ndarray], np.ndarray]:
+    """Of every shape the frame of its box, what its points see (see ``exposure``) and their components; and the looks
+    of all pieces (n, 5)."""
+    boxes, exposures, components, looks = [], [], [], []
     for t in range(len(shapes)):
-        shape = shapes[t]
+        shape = shapes[t]  # a lazy sequence reads it from disk
+        boxes.append(box_frame(shape.points, root))
         exposures.append(exposure(shape))
+        components.append(point_components(shape))
         looks.append(piece_looks(shape, pieces.of_point[t], exposures[t]))
-    return exposures, np.concatenate(looks)
+    return boxes, exposures, components, np.concatenate(looks)
 
 
 def _parts_of_pieces(
