@@ -74,13 +74,13 @@ def find_copies(
     templates: Sequence[PartTemplates],
     beliefs: Beliefs,
     label: Int[np.ndarray, " P"],
-    compared: Sequence[int] = (),
+    in_turn: Sequence[Sequence[int]] = (),
 ) -> tuple[Copy, ...]:
     """Pieces of the surface that are copies of components of other parts than ``label`` (P,) now has them as.
 
-    ``beliefs`` are those that say where the templates lie on the shape.  Components of the ``compared`` templates
-    (indices; none: those of ``beliefs``) are looked at, and of others those of parts that these lack.  Pieces with
-    painted points stay as they are.
+    ``beliefs`` are those that say where the templates lie on the shape.  A piece is compared with the components of
+    some templates (indices; none: those of ``beliefs``), and of others with those of parts that these lack; and where
+    it is no copy of any, with the next ``in_turn``.  Pieces with painted points stay as they are.
     """
     template = templates[beliefs.template]
     alive = np.flatnonzero(beliefs.alive(template.label))
@@ -96,31 +96,38 @@ def find_copies(
     asked = np.flatnonzero(small & ~painted & ((cost > EXPLAINED) | (wide > FAR * gap.mean())))
     if not len(asked):
         return ()
-    found: list[Copy] = []
-    known = _components(templates, beliefs.template, compared or (beliefs.template,))
+    tries = [_components(templates, beliefs.template, one) for one in in_turn or ((beliefs.template,),)]
     whole = beliefs.to_family(shape.points)
+    found: list[Copy] = []
     for one in asked.tolist():
         rows = np.flatnonzero(component == one)
         points, facing = (thinned(beliefs.to_family(of[rows]), COMPARED) for of in (shape.points, shape.normals))
         points, extent, middle = _centred(points)
         present = int(np.bincount(label[rows], minlength=template.n_parts).argmax())
-        others = [of for of in known if of.part != present and _may_be(of, extent, _level(middle, whole))]
-        if not others:
-            continue
-        costs = [_likeness(points, facing, extent, of) for of in others]
-        likest = int(np.argmin(costs))
-        most = LIKENESS if wide[one] > FAR * gap.mean() else LIKENESS_NEAR
-        if costs[likest] >= min(most, cost[one] - BETTER):
-            continue
-        # of the part that it is now components of any size and level count
-        own = (_likeness(points, facing, extent, of) for of in known if of.part == present)
-        if costs[likest] < min(own, default=np.inf) - RIVAL:
-            found.append(Copy(others[likest].part, rows))
+        piece = _Component(present, _level(middle, whole), extent, points, facing)
+        most = min(LIKENESS if wide[one] > FAR * gap.mean() else LIKENESS_NEAR, cost[one] - BETTER)
+        parts = (_copied(piece, known, most) for known in tries)
+        part = next((part for part in parts if part is not None), None)
+        if part is not None:
+            found.append(Copy(part, rows))
     return tuple(found)
+
+
+def _copied(piece: _Component, known: list[_Component], most: float) -> int | None:
+    """The part of which a piece is a copy, at a cost below ``most``, by the components that are ``known``."""
+    others = [one for one in known if one.part != piece.part and _may_be(one, piece)]
+    costs = [_likeness(piece, one) for one in others]
+    if min(costs, default=np.inf) >= most:
+        return None
+    # of the part that it is now components of any size and level count
+    own = min((_likeness(piece, one) for one in known if one.part == piece.part), default=np.inf)
+    return others[int(np.argmin(costs))].part if min(costs) < own - RIVAL else None
 
 
 @dataclass(frozen=True, eq=False)
 class _Component:
+    """A connected piece of surface (n points, centred) with its part, height in diagonals and of the shape, extent."""
+
     part: int
     level: tuple[float, float]
     extent: np.ndarray
@@ -165,17 +172,17 @@ def _level(middle: np.ndarray, whole: np.ndarray) -> tuple[float, float]:
     return float(middle[1]), (float(middle[1]) - low) / max(high - low, 1e-9)
 
 
-def _may_be(one: _Component, extent: np.ndarray, level: tuple[float, float]) -> bool:
-    """Whether a piece of this ``extent`` (3,) and ``level`` is of about the size of a component, and about as high."""
-    ratio = (extent + REACH) / (one.extent + REACH)
-    apart = min(abs(here - there) for here, there in zip(level, one.level, strict=True))
+def _may_be(one: _Component, piece: _Component) -> bool:
+    """Whether a piece is of about the size of a component, and lies about as high."""
+    ratio = (piece.extent + REACH) / (one.extent + REACH)
+    apart = min(abs(here - there) for here, there in zip(piece.level, one.level, strict=True))
     return bool(ratio.max() < TALLEST and ratio.min() > 1 / TALLEST and apart < LEVEL)
 
 
-def _likeness(points: np.ndarray, normals: np.ndarray, extent: np.ndarray, one: _Component) -> float:
-    """Least cost of a centred piece (n, 3) of this ``extent`` (3,) as a copy of a component, both ways."""
-    ratio = np.clip((extent + REACH) / (one.extent + REACH), *STRETCH)
-    return _apart(points, normals, one.points * ratio * MIRRORED, one.normals * MIRRORED)
+def _likeness(piece: _Component, one: _Component) -> float:
+    """Least cost of a piece as a copy of a component, both ways."""
+    ratio = np.clip((piece.extent + REACH) / (one.extent + REACH), *STRETCH)
+    return _apart(piece.points, piece.normals, one.points * ratio * MIRRORED, one.normals * MIRRORED)
 
 
 def _apart(points: np.ndarray, normals: np.ndarray, placed: np.ndarray, facing: np.ndarray) -> float:

@@ -224,16 +224,15 @@ def with_copies(
         for one in candidates
     ]
     blended = blend(bare)
-    label = blended.segmentation.argmax(axis=1)
-    copies = np.full(shape.n_points, -1, np.int32)
     # The leading templates are learnt from all shapes.  What they do not know looks like an exemplar's, perhaps: in the
     # family's, what touches is one component, an engine and its pylon, which look like no engine.
-    for compared in dict.fromkeys([(blended.template,), as_good(bare)]):
-        for one in find_copies(shape, templates, blended, label, compared) if compared else ():
-            if (copies[one.rows] < 0).all():
-                copies[one.rows] = one.part
-    if (copies < 0).all():
+    in_turn = [compared for compared in dict.fromkeys([(blended.template,), as_good(bare)]) if compared]
+    found = find_copies(shape, templates, blended, blended.segmentation.argmax(axis=1), in_turn)
+    if not found:
         return tuple(bare)
+    copies = np.full(shape.n_points, -1, np.int32)
+    for one in found:
+        copies[one.rows] = one.part
     return tuple(replace(one, beliefs=replace(one.beliefs, copies=copies)) for one in bare)
 
 

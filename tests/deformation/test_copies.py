@@ -161,7 +161,7 @@ def test_what_the_family_knows_comes_before_what_exemplars_do(two_and_four):
     otherwise = replace(state.templates[0], label=np.where(label == engine, fuselage, label).astype(label.dtype))
     templates, candidates = (otherwise, state.templates[0]), twice(state, 1, 0.5 * AS_GOOD)
     blended = blend(candidates)
-    found = find_copies(shapes[1], templates, blended, blended.segmentation.argmax(axis=1), as_good(candidates))
+    found = find_copies(shapes[1], templates, blended, blended.segmentation.argmax(axis=1), [as_good(candidates)])
     assert fuselage in {one.part for one in found}
     copies = with_copies(shapes[1], templates, candidates)[0].beliefs.copies
     assert set(copies[copies >= 0].tolist()) == {engine}
@@ -186,8 +186,8 @@ def test_a_piece_that_its_own_part_has_in_some_exemplar_is_no_copy(two_and_four)
     pods = np.isin(names, ["outer engine left", "outer engine right", "outer pylon left", "outer pylon right"])
     otherwise = template_from_exemplar(shapes[2], np.where(pods, wing, made[1].faces), made[1].part_names)
     templates = (state.templates[0], otherwise)
-    assert find_copies(shapes[1], templates, beliefs, labels, (0,))
-    assert find_copies(shapes[1], templates, beliefs, labels, (0, 1)) == ()
+    assert find_copies(shapes[1], templates, beliefs, labels, [(0,)])
+    assert find_copies(shapes[1], templates, beliefs, labels, [(0, 1)]) == ()
 
 
 def test_a_thin_component_may_be_thicker_in_the_template(two_and_four):

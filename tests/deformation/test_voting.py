@@ -35,7 +35,7 @@ def table(shelf: float, seed: int) -> tuple[Shape, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def tables() -> list[tuple[Shape, np.ndarray]]:
-    """Five with a low shelf, and one whose shelf is about halfway to the others' tops."""
+    """Five with a low shelf, and one whose shelf is a third of the way to the others' tops."""
     return [table(shelf, seed) for seed, shelf in enumerate((0.2, 0.25, 0.3, 0.28, 0.22, 0.5))]
 
 
