@@ -57,9 +57,9 @@ _WEIGHTS = np.array(
 )
 _SAME_IN_BOTH = [3**-0.5] * 3 + [0.4] + [0.25] * 6  # shape diameter, average geodesic distance, local PCA
 # Boxes look at how level a piece is, not at where its sides face, and besides at what it is by itself: how many there
-# are of its kind, how long, how flat, and what it sees above and below.  Height is half said by the ends.
+# are of its kind, how long, how flat, how open above, and what it sees below.  Height is half said by the ends.
 _BOX_WEIGHTS = np.array([1, 0.5, 1, 1, 1, 1, 0, 1, 0, 1.4, 0, *_SAME_IN_BOTH])
-_LOOKS_WEIGHTS = np.array([1, 0.5, 0.4, 0.6, 0.6])
+_LOOKS_WEIGHTS = np.array([1, 0.5, 0.4, 1, 0.6])
 # What is one part but for a last split differs by where it lies and how large it is, not by how many there are of it.
 SPLIT_WEIGHTS = np.array([1.0] * 11 + _SAME_IN_BOTH)
 
@@ -109,7 +109,7 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
     root = shapes[int(groups.exemplars[0])].points
     normal, offset, _ = symmetry_plane(root)
     patches, pieces = gathered(shapes, groups, frames, normal, offset)
-    boxes, exposures, components, looks = _seen(shapes, root, pieces)
+    boxes, traits, components, looks = _seen(shapes, root, pieces)
     # One BLAS thread: sums must not depend on how many there are.
     with threadpool_limits(1):
         features = standardized(patches.views[0], patches.weight) * _WEIGHTS
@@ -121,7 +121,7 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
     parts = [part[pieces.owner == t][of_point] for t, of_point in enumerate(pieces.of_point)]
     if len(shapes) > 1:
         parts = vote(
-            shapes, (frames, boxes), exposures, normal, offset, parts, n_parts, pieces.of_point, pieces.whole,
+            shapes, (frames, boxes), traits, normal, offset, parts, n_parts, pieces.of_point, pieces.whole,
             components,
         )  # fmt: skip
     segmentation = tuple(SURE * np.eye(n_parts)[of_point] + (1 - SURE) / n_parts for of_point in parts)
@@ -159,16 +159,17 @@ def gathered(
 def _seen(
     shapes: Any, root: np.ndarray, pieces: _Pieces
 ) -> tuple[list[Alignment], list[np.ndarray], list[np.ndarray], np.ndarray]:
-    """Of every shape the frame of its box, what its points see (see ``exposure``) and their components; and the looks
-    of all pieces (n, 5)."""
-    boxes, exposures, components, looks = [], [], [], []
+    """Of every shape the frame of its box, its points' traits (see ``vote``) and their components; and the looks of all
+    pieces (n, 5)."""
+    boxes, traits, components, looks = [], [], [], []
     for t in range(len(shapes)):
         shape = shapes[t]  # a lazy sequence reads it from disk
         boxes.append(box_frame(shape.points, root))
-        exposures.append(exposure(shape))
         components.append(point_components(shape))
-        looks.append(piece_looks(shape, pieces.of_point[t], exposures[t]))
-    return boxes, exposures, components, np.concatenate(looks)
+        seen = exposure(shape)
+        looks.append(piece_looks(shape, pieces.of_point[t], seen))
+        traits.append(np.concatenate([seen, looks[t][pieces.of_point[t], 1:2].astype(np.float32)], axis=1))
+    return boxes, traits, components, np.concatenate(looks)
 
 
 def _parts_of_pieces(

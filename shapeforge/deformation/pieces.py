@@ -28,6 +28,7 @@ PAIRED = 150  # points of a component whose pairs are looked at
 SAME_EXTENT, LEAST_EXTENT = 0.2, 0.006  # share, and diagonals, by which extents of copies may differ
 SAME_AREA, DRAWN = 1.3, 3.0  # their areas' ratio, and deviations of the numbers of points that fall on them by chance
 MOST_COPIES = 8  # more are as telling
+UPRIGHT_COUNTS = 0.02  # of a level point: what an upright one says of how open its piece is above
 
 
 def find_pieces(shape: Shape) -> tuple[Int[np.ndarray, " P"], Bool[np.ndarray, " n"]]:
@@ -156,19 +157,35 @@ def piece_looks(
     shape: Shape, piece: Int[np.ndarray, " P"], exposure: Float[np.ndarray, "P 3"]
 ) -> Float[np.ndarray, "n 5"]:
     """What pieces are by themselves, wherever they lie: how many of a kind there are in the shape (log2, with itself),
-    how long and how flat they are (0 to 1), and how much they see of what is above and below.
+    how long and how flat they are (0 to 1), how open they are above, and how much they see of what is below.
 
-    Legs, arms and engines come in twos and fours, a seat or a fuselage but once.  ``exposure`` is as in ``voting``.
+    Legs, arms and engines come in twos and fours, a seat or a fuselage but once.  A top is open above, though its
+    underside sees none of the sky; what it covers is not.  ``exposure`` is as in ``voting``.
     """
     count = np.bincount(piece)
     many = np.maximum(count, 1)[:, None]
-    means = [np.stack([np.bincount(piece, column) for column in rows.T], axis=1) / many
-             for rows in (shape.points, exposure[:, :2])]  # fmt: skip
-    off = shape.points - means[0][piece]
+    means = np.stack([np.bincount(piece, column) for column in shape.points.T], axis=1) / many
+    below = np.bincount(piece, exposure[:, 1])[:, None] / many
+    off = shape.points - means[piece]
     spread = np.stack([np.bincount(piece, off[:, i] * off[:, j]) for i in range(3) for j in range(3)], axis=1) / many
     extent = np.sqrt(np.maximum(np.linalg.eigvalsh(spread.reshape(-1, 3, 3)), 0.0))[:, ::-1]
     longest = np.maximum(extent[:, :1], 1e-9)
-    return np.concatenate([np.log2(_copies(extent, count))[:, None], -np.diff(extent) / longest, means[1]], axis=1)
+    copies = np.log2(_copies(extent, count))[:, None]
+    return np.concatenate([copies, -np.diff(extent) / longest, _open_above(shape, piece, exposure), below], axis=1)
+
+
+def _open_above(
+    shape: Shape, piece: Int[np.ndarray, " P"], exposure: Float[np.ndarray, "P 3"]
+) -> Float[np.ndarray, "n 1"]:
+    """What the level points of every piece see of the sky: the upper quartile, as half of them look down."""
+    order = np.lexsort((exposure[:, 0], piece))
+    level = shape.normals[order, 1] ** 2 + UPRIGHT_COUNTS
+    whole = np.bincount(piece, level[np.argsort(order)])
+    count = np.bincount(piece)
+    so_far = np.cumsum(level)
+    at = np.searchsorted(so_far, np.cumsum(whole) - 0.25 * whole)
+    found = exposure[order[np.minimum(at, np.maximum(np.cumsum(count) - 1, 0))], 0]
+    return np.where(count > 0, found, 0.0)[:, None]
 
 
 def _copies(extent: Float[np.ndarray, "n 3"], count: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:

@@ -1,8 +1,8 @@
 """Shapes vote on proposed parts: a point goes to the part that like points of the *other* shapes belong to.
 
 That mends pieces that were cut badly.  Points are alike that lie in the same place (rather as high than as far out),
-face as much upwards or sideways, are as thick and as far from everything, and see as much of what is above, below and
-around them: a table's top sees the sky, a shelf does not.  Which way sideways a point faces says nothing: a leg has
+face as much upwards or sideways, are as thick and as far from everything, see as much of what is above, below and
+around them, and are of a piece as long: a table's top sees the sky, a shelf does not, and a rail is no shelf.  Which way sideways a point faces says nothing: a leg has
 sides all around.
 """
 
@@ -25,9 +25,10 @@ VOTES = 30
 VOTERS = 12_000  # points of all shapes that vote
 VOTED, ALL_VOTED = 1000, 300_000  # points of a shape, and about as many of all, that are voted on
 FEWEST_VOTED = 200
-REACH, ACROSS = 0.12, 0.17  # diagonals, up and sideways, that count as much as tipping the normal by a right angle
+REACH, ACROSS = 0.12, 0.12  # diagonals, up and sideways, that count as much as tipping the normal by a right angle
 THICK, INNER = 1.4, 0.5  # how much the shape diameter counts, and the average geodesic distance
 SEEN = 2.4, 1.6, 1.6  # how much it counts to see all rather than nothing of what is above, below and around
+LONG = 0.5  # how much it counts to be of a piece that is a bar and not round or square (``piece_looks``)
 # What a point hears: like points' votes on itself, on its neighbours, on its whole piece, and what it was before; on a
 # patch, whose bounds are a guess, and on a component, whose bounds the modeller drew.
 PATCH_HEARS, COMPONENT_HEARS = (0.2, 0.2, 0.6, 0.0), (0.1, 0.1, 0.8, 0.3)
@@ -52,19 +53,19 @@ def exposure(shape: Shape) -> Float32[np.ndarray, "P 3"]:
 
 
 def vote(
-    shapes: Any, views: Sequence[Sequence[Alignment]], exposures: Sequence[np.ndarray], normal: Float[np.ndarray, " 3"],
+    shapes: Any, views: Sequence[Sequence[Alignment]], traits: Sequence[np.ndarray], normal: Float[np.ndarray, " 3"],
     offset: float, parts: Sequence[np.ndarray], n_parts: int, pieces: Sequence[np.ndarray], whole: Sequence[np.ndarray],
     components: Sequence[np.ndarray],
 ) -> list[Int[np.ndarray, " P"]]:  # fmt: skip
     """New part (P,) of every point of every shape, from the parts (P,) of like points of the other shapes.
 
     ``views`` hold the frames of all shapes, one voice each, whose mirror plane is ``normal · x = offset``;
-    ``exposures`` the ``exposure`` of every shape; ``pieces`` and ``whole`` are as ``find_pieces`` gives them, and
+    ``traits`` the ``exposure`` of every shape's points and how long their pieces are (P, 4); ``pieces`` and ``whole`` are as ``find_pieces`` gives them, and
     ``components`` as ``point_components`` does.  A point's vote is averaged with those of its neighbours, of its piece
     and of its component, so borders stay short.  They vote again on what came of it, ``ROUNDS`` times at most.  Needs
     two shapes at least.
     """
-    electorates = [_Electorate(shapes, frames, exposures, normal, offset) for frames in views]
+    electorates = [_Electorate(shapes, frames, traits, normal, offset) for frames in views]
     for _ in range(ROUNDS):
         said = [np.concatenate([thinned(part, electorate.share) for part in parts]) for electorate in electorates]
         voted = []
@@ -104,8 +105,8 @@ def _mean_of(votes: np.ndarray, group: np.ndarray) -> np.ndarray:
 class _Electorate:
     """Points of all shapes in one view, and who votes on whom: that does not change from round to round."""
 
-    def __init__(self, shapes: Any, frames, exposures, normal: np.ndarray, offset: float) -> None:
-        self.frames, self.exposures, self.plane = frames, exposures, (normal, offset)
+    def __init__(self, shapes: Any, frames, traits, normal: np.ndarray, offset: float) -> None:
+        self.frames, self.traits, self.plane = frames, traits, (normal, offset)
         number = len(shapes)
         self.share = max(2, VOTERS // number)
         voters = [thinned(self._likeness(shapes[t], t), self.share) for t in range(number)]
@@ -132,10 +133,10 @@ class _Electorate:
         votes /= votes.sum(axis=1, keepdims=True)
         return votes[follows].astype(np.float64)
 
-    def _likeness(self, shape: Shape, t: int) -> Float[np.ndarray, "P 9"]:
-        """Rows, near for like points: place folded at the mirror plane, how level it is, thickness, geodesics, and what
-        is seen."""
+    def _likeness(self, shape: Shape, t: int) -> Float[np.ndarray, "P 10"]:
+        """Rows, near for like points: place folded at the mirror plane, how level it is, thickness, geodesics, what is
+        seen, and how long its piece is."""
         places, normals = placed(shape, self.frames[t], *self.plane)
         places = np.concatenate([np.abs(places[:, :1]), places[:, 1:]], axis=1) / [ACROSS, REACH, ACROSS]
-        described = [shape.descriptors[:, [0, 3]] * [THICK, INNER], self.exposures[t] * SEEN]
+        described = [shape.descriptors[:, [0, 3]] * [THICK, INNER], self.traits[t] * [*SEEN, LONG]]
         return np.concatenate([places, normals[:, 1:2] ** 2, *described], axis=1)
