@@ -109,13 +109,15 @@ def family_starts(
     """Two starts of the family's templates on one shape that exemplars have explained.
 
     One with all parts under the affine map of the whole, which may find again what the exemplars had lost, or without
-    those without which the rest explains the shape better; one with the parts and components that are believed in, each
-    part under the affine map that takes it to the surface believed to be its own.
+    those without which the rest explains the shape better, if any exemplar does without them, too; one with the parts
+    and components that are believed in, each part under the affine map that takes it to the surface believed to be its
+    own.
     """
     problem, beliefs = make_problem(shape, faces, leaning_to(seed)), blend(candidates)
     whole = _whole_start(shape, problem, beliefs, hierarchy, len(templates))
+    kept = given_parts(problem, hierarchy.top.n_parts) | undisputed(candidates)
     starts = [
-        _without_some(shape, problem, beliefs, hierarchy, whole),
+        _without_some(shape, problem, beliefs, hierarchy, whole, kept),
         _believed_start(shape, beliefs, hierarchy, whole),
     ]
     return tuple(map(compact, weigh(problem, (*templates, hierarchy.top), starts, family=True)))
@@ -136,12 +138,23 @@ def _believed_points(beliefs: Beliefs, hierarchy: Hierarchy) -> Bool[np.ndarray,
     return there if there.any() else np.ones(len(there), bool)
 
 
-def _without_some(shape: Shape, problem: Problem, beliefs: Beliefs, hierarchy: Hierarchy, whole: Beliefs) -> Beliefs:
-    """The start with all parts, or a better one without some of them."""
+def undisputed(candidates: Sequence[Candidate]) -> Bool[np.ndarray, " L"]:
+    """Parts (L,) that every exemplar finds on the shape, whatever else it says.
+
+    All parts of the family together may explain a bench as back and seat alone, and its box is called a back: that it
+    has legs was said by benches and chairs alike.
+    """
+    return np.all([one.beliefs.active for one in candidates if not one.family], axis=0)
+
+
+def _without_some(
+    shape: Shape, problem: Problem, beliefs: Beliefs, hierarchy: Hierarchy, whole: Beliefs, kept: np.ndarray
+) -> Beliefs:
+    """The start with all parts, or a better one without some of them, but with those ``kept`` (L,)."""
     top, pose = hierarchy.top, beliefs.pose
     alignment = Alignment(pose @ whole.maps[0], pose @ whole.offsets[0], np.nan)
     lying = problem.points @ pose.T, problem.normals @ pose.T
-    for start in partial_starts(*lying, [top], [alignment], given_parts(problem, top.n_parts)):  # one at most
+    for start in partial_starts(*lying, [top], [alignment], kept):  # one at most
         found = affine_beliefs(shape, problem, top, whole.template, _turned_back(start.alignment, pose))
         whole = replace(with_parts(found, start.active), pose=pose)
     return _believing(whole, beliefs, whole.active)

@@ -16,7 +16,7 @@ from shapeforge.deformation.existence import DOUBT
 from shapeforge.deformation.factors import FLOORS
 from shapeforge.deformation.fit import HEARD_ROUNDS, fit_templates
 from shapeforge.deformation.hierarchy import family_templates
-from shapeforge.deformation.partial import LEFT_OUT
+from shapeforge.deformation.partial import LEFT_OUT, PartialStart
 from tests.deformation.test_hierarchy import PARTS, chair
 from tests.generated import prepared, true_parts
 
@@ -162,6 +162,28 @@ def test_the_family_starts_with_what_was_doubted_still_in_doubt(family_fit):
     believed = started[-1].beliefs
     assert not believed.active[arm] and believed.misfit[arm] == LEFT_OUT
     assert np.isnan(believed.misfit[believed.active]).all()
+
+
+def test_the_family_does_without_a_part_only_if_an_exemplar_does(family_fit, monkeypatch):
+    """Else all parts together explain a bench as back and seat alone, though every exemplar finds its legs."""
+    names, state = family_fit
+    leg, arm, hierarchy = names.index("leg"), names.index("arm"), state.family
+    sure = next(one for one in state.candidates[1] if not one.family)
+    whole = replace(sure, beliefs=replace(sure.beliefs, active=np.ones(len(names), bool)))
+    armless = replace(whole, beliefs=replace(whole.beliefs, active=np.arange(len(names)) != arm))
+    shape = prepared(generate("chairs", 2, seed=11, broken=0.0, classes=("side",)), 700)[1]
+
+    def with_legs_in_the_way(points, normals, templates, alignments, kept):
+        """Leaving out legs, or arms, explains the shape far better, wherever that is allowed."""
+        active = templates[0].has_part()
+        active[[part for part in (leg, arm) if not kept[part]]] = False
+        return [PartialStart(0, active, alignments[0])]
+
+    monkeypatch.setattr(family, "partial_starts", with_legs_in_the_way)
+    first = family.family_starts(shape, None, state.templates[:-1], (whole, armless), hierarchy)[0].beliefs
+    assert first.active[leg] and not first.active[arm] and first.segmentation[:, leg].max() > 0.01
+    both = family.family_starts(shape, None, state.templates[:-1], (whole, whole), hierarchy)[0].beliefs
+    assert both.active[leg] and both.active[arm]
 
 
 def test_an_exemplar_far_behind_the_best_is_given_up(family_fit):
