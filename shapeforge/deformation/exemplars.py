@@ -40,6 +40,10 @@ NOWHERE = -6.0
 """Log odds that an exemplar's word counts for, to whose template of a part hardly any surface was left: it may sit
 elsewhere on this shape, a tailplane on top of the fin, and another exemplar that is sure of it is to be believed."""
 
+DISBELIEVED = 10.0
+"""Nats that an explanation is behind in the end for giving all of a shape to parts that are not believed in: one that
+needs a back to explain a bench is wrong about its seat, too."""
+
 AS_GOOD = 1.0
 """Nats behind the best explanation up to which an exemplar explains a shape about as well."""
 
@@ -134,6 +138,22 @@ def voices(candidates: Sequence[Candidate]) -> Float[np.ndarray, "C P"]:
     return worth / worth.sum(axis=0)
 
 
+def voices_for(candidates: Sequence[Candidate], parts: Bool[np.ndarray, " L"]) -> Float[np.ndarray, "C P"]:
+    """The ``voices`` of candidates (C, P) once these ``parts`` (L,) are believed in: who gives much of the shape to
+    others is heard less (``DISBELIEVED``).
+
+    Not before the family's templates have brought every part: until then an exemplar's arms are not believed in where a
+    better one has none, and that is no fault.
+    """
+    if any(candidate.family for candidate in candidates):
+        shares = [candidate.beliefs.segmentation.mean(axis=0, dtype=np.float64) for candidate in candidates]
+        candidates = [
+            replace(candidate, misfit=candidate.misfit + DISBELIEVED * float(share[~parts].sum()))
+            for candidate, share in zip(candidates, shares, strict=True)
+        ]
+    return voices(candidates)
+
+
 def best_of(candidates: Sequence[Candidate]) -> Candidate:
     """The candidate that explains the shape best."""
     return max(candidates, key=lambda candidate: candidate.weight)
@@ -201,7 +221,7 @@ def blend(candidates: Sequence[Candidate]) -> Beliefs:
     said = np.stack([candidate.beliefs.segmentation.astype(np.float64) for candidate in candidates])
     brought = lenders(candidates)
     parts = believed_parts(candidates)
-    mixed = (said * voices(candidates)[:, :, None]).sum(axis=0) + 1e-9
+    mixed = (said * voices_for(candidates, parts)[:, :, None]).sum(axis=0) + 1e-9
     mixed *= parts
     best = best_of(candidates).beliefs
     lent = tuple(

@@ -17,7 +17,7 @@ from shapeforge.collection.facecut import cut_faces
 from shapeforge.collection.points import nearest_points
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation.beliefs import Beliefs
-from shapeforge.deformation.exemplars import Candidate, believed_parts, voices
+from shapeforge.deformation.exemplars import Candidate, believed_parts, voices_for
 from shapeforge.deformation.factors import NORMAL_WEIGHT
 from shapeforge.deformation.fit import FitState
 from shapeforge.deformation.templates import PartTemplates
@@ -102,7 +102,8 @@ def template_probabilities(shape: Shape, explained: Explanations) -> Float[np.nd
     centre, summed over the template points of each part, averaged over the exemplars by their voices there.
     """
     centres, normals = shape.mesh.face_centres, shape.mesh.face_normals
-    worth = voices(explained.candidates)[:, nearest_points(shape.points, centres)[0][:, 0]]
+    parts = believed_parts(explained.candidates)
+    worth = voices_for(explained.candidates, parts)[:, nearest_points(shape.points, centres)[0][:, 0]]
     mixed = np.full((len(centres), explained.templates[0].n_parts), 1e-9)
     for candidate, voice in zip(explained.candidates, worth, strict=True):
         heard = np.flatnonzero(voice >= LEAST_VOICE)
@@ -117,7 +118,7 @@ def template_probabilities(shape: Shape, explained: Explanations) -> Float[np.nd
         q *= (voice[heard] / q.sum(axis=1))[:, None]
         label = template.label[near]
         mixed[heard] += np.stack([(q * (label == part)).sum(axis=1) for part in range(template.n_parts)], axis=1)
-    mixed *= believed_parts(explained.candidates)
+    mixed *= parts
     return mixed / mixed.sum(axis=1, keepdims=True)
 
 

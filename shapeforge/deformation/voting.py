@@ -1,9 +1,9 @@
 """Shapes vote on proposed parts: a point goes to the part that like points of the *other* shapes belong to.
 
-That mends pieces that were cut badly.  Points are alike that lie in the same place (rather as high than as far out),
-face as much upwards or sideways, are as thick and as far from everything, see as much of what is above, below and
-around them, and are of a piece as long: a table's top sees the sky, a shelf does not, and a rail is no shelf.  Which way sideways a point faces says nothing: a leg has
-sides all around.
+That mends pieces that were cut badly.  Points are alike that lie in the same place, face as
+much upwards or sideways, are as thick and as far from everything, see as much of what is above, below and around them,
+and are of pieces as long: a table's top sees the sky, a shelf does not, and a rail is no shelf.  Which way sideways a
+point faces says nothing: a leg has sides all around.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ VOTES = 30
 VOTERS = 12_000  # points of all shapes that vote
 VOTED, ALL_VOTED = 1000, 300_000  # points of a shape, and about as many of all, that are voted on
 FEWEST_VOTED = 200
-REACH, ACROSS = 0.12, 0.12  # diagonals, up and sideways, that count as much as tipping the normal by a right angle
+REACH = 0.12  # diagonals that count as much as tipping the normal by a right angle
 THICK, INNER = 1.4, 0.5  # how much the shape diameter counts, and the average geodesic distance
 SEEN = 2.4, 1.6, 1.6  # how much it counts to see all rather than nothing of what is above, below and around
 LONG = 0.5  # how much it counts to be of a piece that is a bar and not round or square (``piece_looks``)
@@ -60,10 +60,10 @@ def vote(
     """New part (P,) of every point of every shape, from the parts (P,) of like points of the other shapes.
 
     ``views`` hold the frames of all shapes, one voice each, whose mirror plane is ``normal · x = offset``;
-    ``traits`` the ``exposure`` of every shape's points and how long their pieces are (P, 4); ``pieces`` and ``whole`` are as ``find_pieces`` gives them, and
-    ``components`` as ``point_components`` does.  A point's vote is averaged with those of its neighbours, of its piece
-    and of its component, so borders stay short.  They vote again on what came of it, ``ROUNDS`` times at most.  Needs
-    two shapes at least.
+    ``traits`` the ``exposure`` of every shape's points and how long their pieces are (P, 4); ``pieces`` and ``whole``
+    are as ``find_pieces`` gives them, and ``components`` as ``point_components`` does.  A point's vote is averaged with
+    those of its neighbours, of its piece and of its component, so borders stay short.  They vote again on what came of
+    it, ``ROUNDS`` times at most.  Needs two shapes at least.
     """
     electorates = [_Electorate(shapes, frames, traits, normal, offset) for frames in views]
     for _ in range(ROUNDS):
@@ -137,6 +137,6 @@ class _Electorate:
         """Rows, near for like points: place folded at the mirror plane, how level it is, thickness, geodesics, what is
         seen, and how long its piece is."""
         places, normals = placed(shape, self.frames[t], *self.plane)
-        places = np.concatenate([np.abs(places[:, :1]), places[:, 1:]], axis=1) / [ACROSS, REACH, ACROSS]
+        places = np.concatenate([np.abs(places[:, :1]), places[:, 1:]], axis=1) / REACH
         described = [shape.descriptors[:, [0, 3]] * [THICK, INNER], self.traits[t] * [*SEEN, LONG]]
         return np.concatenate([places, normals[:, 1:2] ** 2, *described], axis=1)

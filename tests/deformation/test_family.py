@@ -11,7 +11,17 @@ from shapeforge.collection.families import generate
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.iterate import last
 from shapeforge.deformation import family
-from shapeforge.deformation.exemplars import NOWHERE, WORTHLESS, believed_parts, leading, lenders, worth_hearing
+from shapeforge.deformation.exemplars import (
+    NOWHERE,
+    WORTHLESS,
+    believed_parts,
+    blend,
+    leading,
+    lenders,
+    voices,
+    voices_for,
+    worth_hearing,
+)  # fmt: skip
 from shapeforge.deformation.existence import DOUBT
 from shapeforge.deformation.factors import FLOORS
 from shapeforge.deformation.fit import HEARD_ROUNDS, fit_templates
@@ -139,6 +149,32 @@ def test_what_the_family_lends_is_as_likely_there_as_not(family_fit):
         assert (arm in lenders(found)) == lent
         # an exemplar's own part is only doubted further down
         assert arm in lenders(two_opinions(family_fit, False, (np.nan, odds), 0.9)[1])
+
+
+def test_an_explanation_that_needs_a_part_nobody_believes_in_is_heard_less(family_fit):
+    """Half of its shape is an arm, which the best doubts: then the other half is no seat because of it, either."""
+    names, state = family_fit
+    arm, leg, seat = (names.index(name) for name in ("arm", "leg", "seat"))
+    own, exemplar = (next(one for one in state.candidates[0] if one.family == of) for of in (True, False))
+    number, n_parts = own.beliefs.segmentation.shape
+    lower = np.arange(number) % 2 == 0
+
+    def saying(one, on_lower: int, elsewhere: int, **changes):
+        said = np.eye(n_parts)[np.where(lower, on_lower, elsewhere)]
+        active = np.isin(np.arange(n_parts), (on_lower, elsewhere))
+        beliefs = replace(one.beliefs, segmentation=said, active=active, evidence=np.full(number, -1), **changes)
+        return replace(one, beliefs=beliefs, misfit=5.0, local=np.zeros(number), weight=1.0)
+
+    unasked, doubt = np.full(n_parts, np.nan), np.where(np.arange(n_parts) == arm, -4.0, np.nan)
+    right = saying(own, leg, seat, misfit=doubt, copies=np.zeros(0, np.int32))
+    wrong = saying(exemplar, seat, arm, misfit=unasked)
+    assert not believed_parts((right, wrong))[arm]
+    assert voices((right, wrong))[1].max() == pytest.approx(0.5)
+    mixed = blend((right, wrong)).segmentation
+    assert mixed[lower, leg].min() > 0.9 and mixed[~lower, seat].min() > 0.9
+    # between exemplars alone it is no fault: arms may still be found by the family
+    earlier = (replace(right, family=False), wrong)
+    assert np.allclose(voices_for(earlier, believed_parts(earlier)), voices(earlier))
 
 
 def test_the_best_is_doubted_by_others_where_nobody_asked_it(family_fit):
