@@ -20,10 +20,15 @@ SAME = Alignment(np.eye(3), np.zeros(3), 0.0)
 PLANE = np.array([1.0, 0.0, 0.0]), 0.0
 
 
-def table(shelf: float, seed: int) -> tuple[Shape, np.ndarray]:
-    """A table of height 1 with a shelf at this height, and the true part of every point."""
+def table(height: float, seed: int, rails: bool = False) -> tuple[Shape, np.ndarray]:
+    """A table of height 1 with a shelf at this height, or with two rails between its legs, which are legs, too; and the
+    true part of every point."""
     boxes = [((0.06, 1.0, 0.06), (x, 0.5, z), LEG) for x in (-0.6, 0.6) for z in (-0.4, 0.4)]
-    boxes += [((1.4, 0.04, 1.0), (0, 1.0, 0), TOP), ((1.1, 0.04, 0.7), (0, shelf, 0), SHELF)]
+    boxes += [((1.4, 0.04, 1.0), (0, 1.0, 0), TOP)]
+    if rails:
+        boxes += [((1.14, 0.06, 0.06), (0, height, z), LEG) for z in (-0.4, 0.4)]
+    else:
+        boxes += [((1.1, 0.04, 0.7), (0, height, 0), SHELF)]
     made = [trimesh.creation.box(size, trimesh.transformations.translation_matrix(at)) for size, at, _ in boxes]
     corners = np.cumsum([0] + [len(box.vertices) for box in made])
     faces = np.concatenate([box.faces + start for box, start in zip(made, corners[:-1], strict=True)])
@@ -78,6 +83,17 @@ def test_a_high_shelf_is_a_shelf_by_what_it_sees(tables, monkeypatch):
     assert (voted(tables, wrong)[5][shelf] == SHELF).all()
     monkeypatch.setattr(voting, "SEEN", (0.0, 0.0, 0.0))
     assert (voted(tables, wrong)[5][shelf] == TOP).mean() > 0.5  # by its place alone it stays a top
+
+
+def test_a_rail_among_shelves_is_no_shelf_as_it_is_long(monkeypatch):
+    some = [table(height, seed) for seed, height in enumerate((0.25, 0.3, 0.28))]
+    some += [table(height, seed, rails=True) for seed, height in ((3, 0.27), (4, 0.3), (5, 0.26))]
+    shape, truth = some[5]
+    rail = (truth == LEG) & (np.abs(shape.points[:, 0]) < 0.25)
+    parts = [*(truth for _, truth in some[:5]), np.where(rail, SHELF, truth)]
+    assert (voted(some, parts)[5][rail] == LEG).mean() > 0.9
+    monkeypatch.setattr(voting, "LONG", 0.0)
+    assert (voted(some, parts)[5][rail] == LEG).mean() < 0.5  # by its place alone it stays a shelf
 
 
 def test_a_leg_that_one_shape_calls_a_top_is_a_leg_by_the_others(tables):
