@@ -1,9 +1,9 @@
 """Shapes vote on proposed parts: a point goes to the part that like points of the *other* shapes belong to.
 
-That mends pieces that were cut badly.  Points are alike that lie in the same place, face as
-much upwards or sideways, are as thick and as far from everything, see as much of what is above, below and around them,
-and are of pieces as long: a table's top sees the sky, a shelf does not, and a rail is no shelf.  Which way sideways a
-point faces says nothing: a leg has sides all around.
+That mends pieces that were cut badly.  Points are alike that lie in the same place, face as much upwards or sideways,
+are as thick and as far from everything, see as much of what is above, below and around them, and are of pieces as long:
+a table's top sees the sky, a shelf does not, and a rail is no shelf.  Which way sideways a point faces says nothing: a
+leg has sides all around.
 """
 
 from __future__ import annotations
