@@ -180,7 +180,7 @@ def _open_above(
     """What the level points of every piece see of the sky: the upper quartile, as half of them look down."""
     order = np.lexsort((exposure[:, 0], piece))
     level = shape.normals[order, 1] ** 2 + UPRIGHT_COUNTS
-    whole = np.bincount(piece, level[np.argsort(order)])
+    whole = np.bincount(piece[order], level)
     count = np.bincount(piece)
     so_far = np.cumsum(level)
     at = np.searchsorted(so_far, np.cumsum(whole) - 0.25 * whole)

@@ -21,7 +21,7 @@ from shapeforge.deformation.exemplars import (
     voices,
     voices_for,
     worth_hearing,
-)  # fmt: skip
+)
 from shapeforge.deformation.existence import DOUBT
 from shapeforge.deformation.factors import FLOORS
 from shapeforge.deformation.fit import HEARD_ROUNDS, fit_templates
@@ -209,13 +209,13 @@ def test_the_family_does_without_a_part_only_if_an_exemplar_does(family_fit, mon
     armless = replace(whole, beliefs=replace(whole.beliefs, active=np.arange(len(names)) != arm))
     shape = prepared(generate("chairs", 2, seed=11, broken=0.0, classes=("side",)), 700)[1]
 
-    def with_legs_in_the_way(points, normals, templates, alignments, kept):
-        """Leaving out legs, or arms, explains the shape far better, wherever that is allowed."""
+    def better_without_legs_and_arms(points, normals, templates, alignments, kept):
+        """As if that explained the shape far better, wherever it is allowed."""
         active = templates[0].has_part()
         active[[part for part in (leg, arm) if not kept[part]]] = False
         return [PartialStart(0, active, alignments[0])]
 
-    monkeypatch.setattr(family, "partial_starts", with_legs_in_the_way)
+    monkeypatch.setattr(family, "partial_starts", better_without_legs_and_arms)
     first = family.family_starts(shape, None, state.templates[:-1], (whole, armless), hierarchy)[0].beliefs
     assert first.active[leg] and not first.active[arm] and first.segmentation[:, leg].max() > 0.01
     both = family.family_starts(shape, None, state.templates[:-1], (whole, whole), hierarchy)[0].beliefs
