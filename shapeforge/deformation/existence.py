@@ -46,6 +46,9 @@ claimed; prevalence among exemplars; how flat it is pressed (see ``flatness``). 
 they were: over 1725 parts, 93 of them absent, where 14 instead of 16 that are there are below -2 for it, and 49 instead
 of 69 absent ones above."""
 
+USUAL, UNKNOWN = 1 / 3, 2
+"""Quantile over the shapes up to which being pressed flat is usual for a part, and how many more count as not flat."""
+
 DOUBT = -2.0
 """Log odds below which a part is switched off: losing a part that is there costs far more than keeping a ghost."""
 
@@ -135,6 +138,19 @@ def flatness(templates: PartTemplates, beliefs: Beliefs) -> Float[np.ndarray, " 
     return flat
 
 
+def usual_flatness(found: Sequence[Float[np.ndarray, " L"]]) -> Float[np.ndarray, " L"]:
+    """How flat each part (L,) is usually pressed, from its ``flatness`` on shapes, NaN on those without it.
+
+    A cabinet that stands for all shelves is pressed flat on every shelf that is a board.  That is how the exemplar is,
+    and says nothing against the part; being flatter than on other shapes does.
+    """
+    usual = np.zeros(len(found[0]))
+    for part, values in enumerate(np.transpose(found)):
+        there = values[~np.isnan(values)]
+        usual[part] = np.quantile(np.concatenate([there, np.zeros(UNKNOWN)]), USUAL)
+    return usual
+
+
 def worth_on_trial(
     before: Float[np.ndarray, " P"], after: Float[np.ndarray, " P"], claimed: Bool[np.ndarray, " P"]
 ) -> float:
@@ -208,10 +224,11 @@ def switch_off_missing(
     if np.sqrt(unary.mean()) > SHARPNESS:
         return beliefs
     painted = given_parts(problem, templates.n_parts)
+    flatter = np.maximum(flatness(templates, beliefs) - templates.flatness, 0.0)
     found = existence_odds(
         problem, templates, candidates, correspondence, beliefs, unary, settle, owner=templates.label,
         asked=beliefs.active & ~painted, intercept=INTERCEPT, weights=SIGNS,
-        known={"prevalence": prevalence, "flatness": flatness(templates, beliefs)},
+        known={"prevalence": prevalence, "flatness": flatter},
         without=lambda part: without(beliefs, part) if beliefs.active.sum() > 1 else None,
     )  # fmt: skip
     # those of parts found missing before are kept: the window shows them

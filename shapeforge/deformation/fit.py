@@ -23,6 +23,7 @@ from shapeforge.collection.shape import Shape, Shapes
 from shapeforge.deformation import family
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.exemplars import Candidate, blend, with_copies, worth_hearing
+from shapeforge.deformation.existence import SHARPNESS, usual_flatness
 from shapeforge.deformation.factors import FLOORS, Covariances, floored, initial_covariances
 from shapeforge.deformation.hierarchy import Hierarchy, link_templates
 from shapeforge.deformation.shape_fit import work_on_shape
@@ -237,6 +238,7 @@ def _one_round(
     )  # fmt: skip
     candidates, moves = [], []
     own: dict[int, Summary] = {}
+    pressed: dict[int, list[np.ndarray]] = {}
     learners = [0] * len(templates)
     total: Summary | None = None
     try:
@@ -253,6 +255,8 @@ def _one_round(
                 going_on = worth_hearing(going_on)
             candidates.append(going_on)
             moves.append(worked.moved[worked.best])
+            for g, flatness in zip(worked.templates, worked.flatness, strict=True):
+                pressed.setdefault(g, []).append(flatness)
             best = worked.summaries[worked.best]
             # a template is learnt from the shapes of its own group, the family's from all; Σ from every shape's best
             home = owners[groups.group[t]] if groups.group[t] >= 0 else -1
@@ -272,6 +276,12 @@ def _one_round(
         ) from error  # fmt: skip
     learnt = tuple(
         update_templates(template, own[g]) if learners[g] > 1 else template for g, template in enumerate(templates)
+    )
+    # once parts may be found missing, those that are left are not as flat as is usual
+    sharp = np.sqrt(state.covariances.unary.mean()) <= SHARPNESS
+    learnt = tuple(
+        template.moved(template.points, usual_flatness(pressed[g])) if g in pressed and not sharp else template
+        for g, template in enumerate(learnt)
     )
     assert total is not None, "there is no family without shapes"
     covariances, first = _update_covariances(total, state, in_family, family_rounds)

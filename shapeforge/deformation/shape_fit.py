@@ -13,7 +13,7 @@ from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.components import spare_in_place, switch_off_spare
 from shapeforge.deformation.energy import free_energy
 from shapeforge.deformation.exemplars import Candidate, compact, unpacked, weigh, weighted
-from shapeforge.deformation.existence import part_prevalence, switch_off_missing
+from shapeforge.deformation.existence import flatness, given_parts, part_prevalence, switch_off_missing
 from shapeforge.deformation.factors import Covariances, attraction
 from shapeforge.deformation.templates import PartTemplates
 from shapeforge.deformation.updates import (
@@ -36,12 +36,14 @@ from shapeforge.deformation.updates import (
 @dataclass(frozen=True, eq=False)
 class Worked:
     """What a round makes of one shape: all its candidates, and of those that were worked on the template set, the
-    summary and the mean movement (diagonals) each; ``best`` is the place among them of the one that explains most."""
+    summary, the mean movement (diagonals) and the flatness of its parts (L,), NaN of absent and of given ones, each;
+    ``best`` is the place among them of the one that explains most."""
 
     candidates: tuple[Candidate, ...]
     templates: tuple[int, ...]
     summaries: tuple[Summary, ...]
     moved: tuple[float, ...]
+    flatness: tuple[np.ndarray, ...]
     best: int
 
 
@@ -84,6 +86,7 @@ def work_on_shape(
         moves.append(float(np.linalg.norm(beliefs.deformed - before.deformed, axis=1).mean()))
         done.append(beliefs)
         sums.append(summary)
+    given = given_parts(problem, templates[0].n_parts)
     weighed = weigh(problem, templates, done, family=family)
     best = min(range(len(weighed)), key=lambda i: weighed[i].misfit)
     others = [candidate for candidate in candidates if candidate.family != family]
@@ -92,6 +95,7 @@ def work_on_shape(
         tuple(one.template for one in done),
         tuple(sums),
         tuple(moves),
+        tuple(np.where(one.active & ~given, flatness(templates[one.template], one), np.nan) for one in done),
         best,
     )
 

@@ -54,7 +54,8 @@ class PartTemplates:
 
     ``label`` is the part of each point, ``component`` the separate piece it belongs to (left or right leg; counted
     within its part), ``neighbours`` indices within the same part, -1 padded; as pairs they are symmetric once made
-    into ``neighbour_graph``.
+    into ``neighbour_graph``.  ``pressed`` is learnt, too: how flat each part usually lies (see ``flatness``), empty
+    before the first round.
     """
 
     points: Float[np.ndarray, "K 3"]
@@ -65,6 +66,7 @@ class PartTemplates:
     descriptors: Float[np.ndarray, "K 10"]
     part_names: tuple[str, ...]
     source: str = ""
+    pressed: tuple[float, ...] = ()
 
     @property
     def n_points(self) -> int:
@@ -90,9 +92,15 @@ class PartTemplates:
         """(L,) bool: which parts own template points here."""
         return np.bincount(self.label, minlength=self.n_parts) > 0
 
-    def moved(self, points: Float[np.ndarray, "K 3"]) -> PartTemplates:
-        """The same templates at other positions."""
-        moved = replace(self, points=points)
+    @property
+    def flatness(self) -> Float[np.ndarray, " L"]:
+        """How flat each part (L,) is usually pressed on a shape (see ``existence.usual_flatness``)."""
+        return np.array(self.pressed or np.zeros(self.n_parts))
+
+    def moved(self, points: Float[np.ndarray, "K 3"], flatness: Float[np.ndarray, " L"] | None = None) -> PartTemplates:
+        """The same templates at other positions, usually pressed as flat as before or as told."""
+        pressed = self.pressed if flatness is None else tuple(flatness.tolist())
+        moved = replace(self, points=points, pressed=pressed)
         moved.__dict__.update(graph=self.graph, components=self.components)
         return moved
 
