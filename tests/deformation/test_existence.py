@@ -6,12 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from shapeforge.collection.align import Alignment
 from shapeforge.collection.families import generate, generate_one
+from shapeforge.collection.groups import Groups
+from shapeforge.collection.iterate import last
+from shapeforge.collection.prepare import prepare_shape
+from shapeforge.collection.shape import Mesh, Shape
+from shapeforge.deformation.apply import fit_candidates
 from shapeforge.deformation.beliefs import Beliefs
-from shapeforge.deformation.existence import FLAT, SHARPNESS, flatness, part_prevalence
+from shapeforge.deformation.exemplars import blend
+from shapeforge.deformation.existence import FLAT, SHARPNESS, flatness, part_prevalence, usual_flatness
 from shapeforge.deformation.factors import initial_covariances
+from shapeforge.deformation.fit import fit_templates
 from shapeforge.deformation.shape_fit import fit_shape
 from shapeforge.deformation.starts import affine_beliefs
 from shapeforge.deformation.templates import PartTemplates, template_from_exemplar, template_from_points
@@ -80,3 +88,58 @@ def test_a_part_that_is_pressed_flat_is_doubted_and_the_others_are_not():
     others = np.flatnonzero(there.active & (np.arange(len(names)) != column))
     assert flat.misfit[column] < there.misfit[column] - 4.0
     assert np.abs(flat.misfit[others] - there.misfit[others]).max() < 2.0
+
+
+# -- how flat is usual -----------------------------------------------------------------------------------------------
+
+
+def test_what_most_shapes_press_flat_is_usual_and_what_some_do_is_not():
+    def usual(*values: float) -> float:
+        return float(usual_flatness([np.array([value]) for value in values])[0])
+
+    assert 1.3 < usual(1.3, 1.4, 1.4, 1.5, 1.6, 1.7, 2.0) < 1.6
+    assert usual(1.3, 1.4, 1.4, 0.0, 0.0, 0.0, 0.0) == 0.0
+    assert usual(2.0) == usual(2.0, 2.0) == 0.0, "one or two shapes make no habit"
+    assert usual(1.3, 1.4, 1.4, 1.5, 1.6, 1.7, 2.0, *[np.nan] * 20) == usual(1.3, 1.4, 1.4, 1.5, 1.6, 1.7, 2.0)
+    assert usual(np.nan) == 0.0, "nobody has the part"
+
+
+TOP, LEG, SHELF = range(3)
+
+
+def table(number: int, width: float, shelf: str) -> tuple[Shape, np.ndarray]:
+    """A table with a ``cabinet`` or a ``board`` for a shelf, or ``none``, and the part of each of its faces."""
+    boxes = [((width, 0.04, 0.6), (0, 0.7, 0), TOP)]
+    boxes += [((0.05, 0.7, 0.05), (x * (width / 2 - 0.05), 0.35, z), LEG) for x in (-1, 1) for z in (-0.25, 0.25)]
+    inside = width - 0.25
+    if shelf == "cabinet":
+        boxes += [((inside, 0.03, 0.45), (0, y, 0), SHELF) for y in (0.12, 0.34, 0.56)]
+        boxes += [((0.03, 0.44, 0.45), (x * inside / 2, 0.34, 0), SHELF) for x in (-1, 1)]
+    elif shelf == "board":
+        boxes += [((inside + 0.13, 0.03, 0.48), (0, 0.15 + 0.03 * number, 0), SHELF)]
+    made = [trimesh.creation.box(size, trimesh.transformations.translation_matrix(at)) for size, at, _ in boxes]
+    whole = trimesh.util.concatenate(made)
+    faces = np.repeat([part for *_, part in boxes], [len(one.faces) for one in made]).astype(np.int32)
+    mesh = Mesh(np.asarray(whole.vertices), np.asarray(whole.faces), np.arange(len(faces)), len(faces))
+    rng = np.random.default_rng(number)
+    return prepare_shape(f"{number}_{shelf}", mesh, n_points=600, up="keep", rng=rng), faces
+
+
+def test_boards_are_shelves_though_the_only_exemplar_with_a_shelf_has_a_cabinet():
+    kinds = ("cabinet", "none", "board", "board", "board", "board", "board", "none", "none")
+    widths = (1.15, 1.0, 0.9, 1.1, 1.3, 1.0, 1.2, 0.95, 1.25)
+    tables = [table(t, width, kind) for t, (width, kind) in enumerate(zip(widths, kinds, strict=True))]
+    new, _ = tables.pop(6)
+    shapes = [shape for shape, _ in tables]
+    groups = Groups(("a", "b"), np.array([0] + [1] * 7), np.array([0, 1]), np.zeros((8, 2)))
+    painted = {t: tables[t][1] for t in (0, 1)}
+    state = last(
+        fit_templates(shapes, groups, painted, ("top", "leg", "shelf"), rng=np.random.default_rng(0))
+    )  # fmt: skip
+    for shape, beliefs in zip(shapes, state.beliefs, strict=True):
+        assert beliefs.active[SHELF] == (not shape.name.endswith("none")), shape.name
+    assert state.templates[-1].flatness[SHELF] > 0.3 and (state.templates[-1].flatness[[TOP, LEG]] == 0.0).all()
+    found = fit_candidates(
+        new, state.templates, state.covariances, state.hierarchy(), annealed_from=state.annealed_from
+    )  # fmt: skip
+    assert blend(found).active[SHELF], "the templates remember it for new shapes"
