@@ -21,7 +21,7 @@ from shapeforge.collection.shape import Shape
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.components import mostly_spare
 from shapeforge.deformation.exemplars import Candidate, blend, compact, weigh, weighted
-from shapeforge.deformation.existence import given_parts
+from shapeforge.deformation.existence import given_parts, part_prevalence
 from shapeforge.deformation.factors import FLOORS, Covariances
 from shapeforge.deformation.hierarchy import Hierarchy, Link, deformed_family, family_templates
 from shapeforge.deformation.partial import partial_starts
@@ -117,7 +117,7 @@ def family_starts(
     whole = _whole_start(shape, problem, beliefs, hierarchy, len(templates))
     kept = given_parts(problem, hierarchy.top.n_parts) | undisputed(candidates)
     starts = [
-        _without_some(shape, problem, beliefs, hierarchy, whole, kept),
+        _without_some(shape, problem, beliefs, hierarchy, whole, kept, part_prevalence(templates)),
         _believed_start(shape, beliefs, hierarchy, whole),
     ]
     return tuple(map(compact, weigh(problem, (*templates, hierarchy.top), starts, family=True)))
@@ -148,13 +148,14 @@ def undisputed(candidates: Sequence[Candidate]) -> Bool[np.ndarray, " L"]:
 
 
 def _without_some(
-    shape: Shape, problem: Problem, beliefs: Beliefs, hierarchy: Hierarchy, whole: Beliefs, kept: np.ndarray
-) -> Beliefs:
+    shape: Shape, problem: Problem, beliefs: Beliefs, hierarchy: Hierarchy, whole: Beliefs, kept: np.ndarray,
+    prevalence: np.ndarray,
+) -> Beliefs:  # fmt: skip
     """The start with all parts, or a better one without some of them, but with those ``kept`` (L,)."""
     top, pose = hierarchy.top, beliefs.pose
     alignment = Alignment(pose @ whole.maps[0], pose @ whole.offsets[0], np.nan)
     lying = problem.points @ pose.T, problem.normals @ pose.T
-    for start in partial_starts(*lying, [top], [alignment], kept):  # one at most
+    for start in partial_starts(*lying, [top], [alignment], kept, prevalence):  # one at most
         found = affine_beliefs(shape, problem, top, whole.template, _turned_back(start.alignment, pose))
         whole = replace(with_parts(found, start.active), pose=pose)
     return _believing(whole, beliefs, whole.active)

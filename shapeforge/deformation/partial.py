@@ -59,12 +59,15 @@ def partial_starts(
     templates: Sequence[PartTemplates],
     alignments: Sequence[Alignment],
     kept: Bool[np.ndarray, " L"],
+    prevalence: Float[np.ndarray, " L"],
 ) -> list[PartialStart]:
     """Starts without some parts that explain a shape's ``points`` and ``normals`` (P, 3) better than all whole ones do.
 
     At most one of each template; ``alignments`` are the maps of all of it.  Parts ``kept`` (L,) stay (see
-    ``existence.given_parts``), the others are left out one by one: at a glance, then closely.
+    ``existence.given_parts``), the others are left out one by one: at a glance, then closely, where one that is there
+    as a rule, by its ``prevalence`` (L,) among the exemplars, must be worth its prior log odds.
     """
+    prior = np.maximum(np.log(prevalence / (1.0 - prevalence)), 0.0)
     few = thinned(points, CLOSELY), thinned(normals, CLOSELY)
     whole = [
         misfit(*few, template, _evenly(template, template.has_part(), CLOSELY), alignment)
@@ -78,7 +81,7 @@ def partial_starts(
         for active in _screened(points, normals, template, alignments[g], kept):
             rows = _evenly(template, active, CLOSELY)
             alignment = affine_align(template.points[rows], few[0])
-            cost = misfit(*few, template, rows, alignment)
+            cost = misfit(*few, template, rows, alignment) + prior[template.has_part() & ~active].sum()
             if cost < least:
                 best, least = PartialStart(g, active, alignment), cost
         if best is not None:

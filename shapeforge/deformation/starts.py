@@ -11,7 +11,7 @@ from shapeforge.collection.align import affine_align
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.exemplars import Candidate, compact, weigh
-from shapeforge.deformation.existence import given_parts
+from shapeforge.deformation.existence import given_parts, part_prevalence
 from shapeforge.deformation.partial import LEFT_OUT, partial_starts
 from shapeforge.deformation.pose import posed_starts
 from shapeforge.deformation.templates import PartTemplates, template_from_exemplar, template_from_points
@@ -56,7 +56,7 @@ def exemplar_starts(shape, faces, templates, own, how_many, seed) -> tuple[Candi
     beliefs = [affine_beliefs(shape, problem, templates[g], g, alignments[g], seed) for g in order]
     turned = posed_starts(shape.points, [template.points for template in templates], alignments)
     given = given_parts(problem, templates[0].n_parts)
-    partial = partial_starts(problem.points, problem.normals, templates, alignments, given)
+    partial = partial_starts(problem.points, problem.normals, templates, alignments, given, part_prevalence(templates))
     for start in partial:
         found = affine_beliefs(shape, problem, templates[start.template], start.template, start.alignment, seed)
         beliefs.append(with_parts(found, start.active))
