@@ -209,7 +209,7 @@ def test_the_family_does_without_a_part_only_if_an_exemplar_does(family_fit, mon
     armless = replace(whole, beliefs=replace(whole.beliefs, active=np.arange(len(names)) != arm))
     shape = prepared(generate("chairs", 2, seed=11, broken=0.0, classes=("side",)), 700)[1]
 
-    def better_without_legs_and_arms(points, normals, templates, alignments, kept):
+    def better_without_legs_and_arms(points, normals, templates, alignments, kept, prevalence):
         """As if that explained the shape far better, wherever it is allowed."""
         active = templates[0].has_part()
         active[[part for part in (leg, arm) if not kept[part]]] = False

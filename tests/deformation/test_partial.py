@@ -13,7 +13,7 @@ from shapeforge.deformation.partial import partial_starts
 from shapeforge.deformation.templates import template_from_exemplar
 from tests.generated import prepared
 
-NOTHING = np.zeros(6, bool)
+NOTHING, EVEN = np.zeros(6, bool), np.full(6, 0.5)
 
 
 @pytest.fixture(scope="module")
@@ -27,13 +27,13 @@ def family():
     return made, prepared(made, 1200), [np.asarray(one.faces, np.int32) for one in made]
 
 
-def found_on(family, t, exemplars=(0,), kept=NOTHING):
+def found_on(family, t, exemplars=(0,), kept=NOTHING, prevalence=EVEN):
     """Partial starts of these exemplars' templates on shape ``t``, and the names of their parts."""
     made, shapes, truth = family
     names = made[0].part_names
     templates = [template_from_exemplar(shapes[e], truth[e], names) for e in exemplars]
     alignments = [affine_align(template.points, shapes[t].points) for template in templates]
-    starts = partial_starts(shapes[t].points, shapes[t].normals, templates, alignments, kept)
+    starts = partial_starts(shapes[t].points, shapes[t].normals, templates, alignments, kept, prevalence)
     return starts, [{names[part] for part in np.flatnonzero(start.active)} for start in starts]
 
 
@@ -61,6 +61,17 @@ def test_a_shape_with_all_parts_gets_no_such_start_and_neither_does_the_exemplar
 def test_a_template_that_fits_whole_speaks_against_others_without_parts(family):
     assert found_on(family, 3, (0,))[0]
     assert found_on(family, 3, (0, 3))[0] == []
+
+
+def test_a_part_that_is_usual_is_not_left_out_for_a_nat():
+    """The plate on top of a swivel chair's column, ever larger, explains the seat of a bar stool, too."""
+    chair = generate("chairs", 1, seed=0, broken=0.0, classes=("swivel",))[0]
+    stool = generate("chairs", 2, seed=0, broken=0.0, classes=("stool",))[1]
+    names, shapes = np.array(chair.part_names), prepared([chair, stool], 1200)
+    family = [chair, stool], shapes, [np.asarray(one.faces, np.int32) for one in (chair, stool)]
+    usual = np.where(names == "seat", 0.8, 0.5)
+    assert found_on(family, 1)[1] == [{"column", "base"}]
+    assert found_on(family, 1, prevalence=usual)[1] == [{"seat", "column", "base"}]
 
 
 def test_painted_parts_stay(family):
