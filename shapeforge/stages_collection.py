@@ -123,7 +123,13 @@ def label(task: Task) -> Iterator[Progress]:
     text = f"{counted(len(taken), 'shape')} labelled with {counted(len(part_names), 'part')}"
     if asked and absent:
         text += f", {', '.join(absent)} without"
-    task.summary |= {"text": text, "labelled": taken, "without": absent, "not_read": [p.file for p in problems]}
+    unseen = parts_without_exemplar(project)
+    if unseen and not problems:
+        which, gets = ", ".join(unseen), "it" if len(unseen) == 1 else "them"
+        text += f"; no exemplar has {which}, so no shape gets {gets}: name one that has (group --exemplars)"
+    task.summary |= {
+        "text": text, "labelled": taken, "without": absent, "not_read": [p.file for p in problems], "unseen": unseen
+    }  # fmt: skip
     if asked and (problems or (by_name and absent)):
         reason = str(problems[0]) if problems else f"{folder} has no {absent[0]}.seg"
         raise StageError(f"{reason} ({len(taken)} of {len(wanted)} shapes were labelled)")
@@ -131,6 +137,18 @@ def label(task: Task) -> Iterator[Progress]:
         reason = str(problems[0]) if problems else f"{folder}: has no .seg file named like a shape of the project"
         raise StageError(f"{reason.rstrip('.')}. A shape called chair needs chair.seg, one integer per face.")
     yield task.progress("read", len(wanted), len(wanted), text)
+
+
+def parts_without_exemplar(project: Project) -> list[str]:
+    """Names of parts that no exemplar shows, as templates come from exemplars alone; none while one is unlabelled."""
+    groups = project.groups
+    if groups is None or project.part_names is None:
+        return []
+    painted = [project.labels(project.names[t]) for t in groups.exemplars]
+    if not painted or any(faces is None for faces in painted):
+        return []
+    shown = np.unique(np.concatenate(painted))
+    return [name for part, name in enumerate(project.part_names.names) if part not in shown]
 
 
 def _can_be_read(project: Project, folder: Path, name: str, wanted: Sequence[str]) -> bool:

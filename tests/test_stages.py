@@ -27,7 +27,7 @@ from shapeforge.generative.draw import draw
 from shapeforge.generative.inference import decode
 from shapeforge.generative.machine import BetaShapeMachine
 from shapeforge.stages import Progress, StageError, next_step, run, status
-from shapeforge.stages_collection import edits_of, merged_part_names
+from shapeforge.stages_collection import edits_of, merged_part_names, parts_without_exemplar
 from shapeforge.stages_draws import drawn_as_asked, latents_of
 from shapeforge.stages_model import curve, named_split, starting_groups, starting_parts
 from shapeforge.stages_pose import turn_by_hand
@@ -203,6 +203,20 @@ def test_unknown_names_are_refused_at_once(grouped: Project) -> None:
         run(grouped, "paint")
     with pytest.raises(StageError, match="'speed': fit has rounds, inner, seed, warm"):
         run(grouped, "fit", speed=9)
+
+
+def test_labels_say_which_parts_no_exemplar_shows(grouped: Project, family: Path, tmp_path: Path) -> None:
+    project = copy_of(grouped, tmp_path / "p")
+    assert parts_without_exemplar(project) == []
+    last(run(project, "group", exemplars=["chair_0000", "chair_0002"]))  # side chairs
+    assert last(run(project, "label", labels=family)).message == (
+        "6 shapes labelled with 4 parts; no exemplar has arm, so no shape gets it: "
+        "name one that has (group --exemplars)"
+    )
+    project.set_labels("chair_0000", None)
+    assert parts_without_exemplar(project) == [], "an exemplar that is not labelled yet may have arms"
+    last(run(project, "group", exemplars=["chair_0002", "chair_0003"]))
+    assert last(run(project, "label", labels=family)).message == "6 shapes labelled with 4 parts"
 
 
 def test_a_fit_without_labels_says_which_shapes_to_label(grouped: Project, tmp_path: Path) -> None:
