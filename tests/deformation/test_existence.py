@@ -89,6 +89,20 @@ def test_a_part_that_is_pressed_flat_is_doubted_and_the_others_are_not():
     assert np.abs(flat.misfit[others] - there.misfit[others]).max() < 2.0
 
 
+def test_the_prior_odds_of_a_part_count_in_full():
+    made = generate_one("chairs", 1, seed=2, broken=0.0, classes=("swivel",))
+    shape = prepared([made], 700)[0]
+    templates = template_from_exemplar(shape, made.faces, made.part_names)
+    problem = make_problem(shape, None)
+    beliefs = affine_beliefs(shape, problem, templates, 0, Alignment(np.eye(3), np.zeros(3), 0.0))
+    sharp = replace(initial_covariances(), unary=np.full(3, (0.8 * SHARPNESS) ** 2))
+    rare, usual = (
+        fit_shape(problem, templates, beliefs, sharp, np.full(templates.n_parts, share))[0].misfit[templates.has_part()]
+        for share in (0.5, 0.875)
+    )
+    assert np.allclose(usual - rare, np.log(7.0))
+
+
 # -- how flat is usual -----------------------------------------------------------------------------------------------
 
 
