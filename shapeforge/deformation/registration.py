@@ -110,6 +110,7 @@ def _of_part(templates: PartTemplates, part: int) -> PartTemplates:
         templates, points=templates.points[rows], normals=templates.normals[rows], label=np.zeros(len(rows), np.int32),
         component=templates.component[rows], neighbours=place[templates.neighbours[rows]],
         descriptors=templates.descriptors[rows], part_names=templates.part_names[part : part + 1],
+        pressed=templates.pressed[part : part + 1],
     )  # fmt: skip
 
 
