@@ -36,7 +36,7 @@ FLAT, FLATTEST = 0.3, 0.003
 """Share of its extent from which on a part is pressed flat, and standard deviation (diagonals) that is added to the
 extents: thinner is flat already."""
 
-INTERCEPT = -12.8
+INTERCEPT = -12.5
 SIGNS = {"support": 3.5, "gap": -1.3, "worth": 0.63, "facing": 2.9, "prior": 1.0, "flatness": -3.2}
 """Log odds that a part exists: the intercept and, per unit, its share of supported points; log of its points' distance
 to the surface (diagonals, plus .003); nats per claimed point it is worth; |cos| between its normals and those it
@@ -45,9 +45,8 @@ By logistic regression over 1100 parts, 200 of them absent, of six families; eac
 five with an area under the curve of .96 (the nats alone: .82).  The flatness came later, with the intercept for as many
 absent ones and the other weights as they were: over 1725 parts, 93 of them absent, where 14 instead of 16 that are
 there are below -2 for it, and 49 instead of 69 absent ones above.  Then the prior became its log odds, and flat what is
-flatter than usual, with the intercept that leaves parts of a single exemplar as likely as they were: over 4830 parts,
-382 absent, of seven families 106 instead of 146 that are there are below -2, and 133 instead of 141 absent ones above
-(area under the curve .960, was .955)."""
+flatter than usual: over 4830 parts, 382 absent, of seven families 81 instead of 146 that are there are below -2, and
+156 instead of 141 absent ones above (area under the curve .960, was .955)."""
 
 USUAL, UNKNOWN = 1 / 3, 2
 """Quantile over the shapes up to which being pressed flat is usual for a part, and how many more count as not flat."""
