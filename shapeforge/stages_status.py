@@ -47,7 +47,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "refine": ("fit", "learn"),
     "synthesize": ("fit", "learn"),
 }
-REVISION = 10
+REVISION = 11
 """Raised when stages mean something else by the same options: results of older revisions are then stale."""
 
 RESULTS: dict[str, tuple[str, ...]] = {

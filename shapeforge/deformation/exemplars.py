@@ -32,9 +32,10 @@ LENT = 0.1
 """A part that the best exemplar lacks is another's, if at least this share of what that one says of it is believed, and
 if it is not doubted as a part of one's own is: by the log odds of its existence, both opinions together."""
 
-BROUGHT, BROUGHT_ODDS = 0.4, 0.0
+BROUGHT, BROUGHT_ODDS = 0.4, -1.0
 """The same share, and log odds of all opinions together, from which a part is believed that the family's templates
-bring to a shape whose best exemplar lacks it."""
+bring to a shape whose best exemplar lacks it.  Half of the usual doubt: the odds hold already that few exemplars have
+it, and armchairs whose own exemplar has no arms lost theirs when they had to be likelier there than not."""
 
 NOWHERE = -6.0
 """Log odds that an exemplar's word counts for, to whose template of a part hardly any surface was left: it may sit
@@ -165,7 +166,7 @@ def lenders(candidates: Sequence[Candidate]) -> dict[int, int]:
     A part is lent when the shape believes enough of what the lender says of it, and unless all opinions together doubt
     that it exists, as an exemplar's own part is doubted: one whose template does not know the part has none, one that
     switched it off speaks against it, the louder the better it explains the shape beside the lender.  The family's
-    templates know every part of every exemplar: what they lend must be as likely there as not.
+    templates know every part of every exemplar: what they lend must be likelier there (``BROUGHT_ODDS``).
     """
     best = best_of(candidates)
     said = [
@@ -195,8 +196,8 @@ def believed_parts(candidates: Sequence[Candidate]) -> Bool[np.ndarray, " L"]:
     """Parts (L,) that the shape has: those of the best candidate, and those lent to it.
 
     A part that the best was never asked about is doubted by what the others say.  The family's templates bring every
-    part of every exemplar to a shape: one that the best exemplar lacks must be as likely there as not, unless it is
-    painted.
+    part of every exemplar to a shape: one that the best exemplar lacks must be likelier there than usual parts
+    must (``BROUGHT_ODDS``), unless it is painted.
     """
     best = best_of(candidates)
     doubted = np.isnan(best.beliefs.misfit) & (_together(candidates, best.weight) < DOUBT)

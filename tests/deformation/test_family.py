@@ -12,6 +12,7 @@ from shapeforge.collection.groups import Groups
 from shapeforge.collection.iterate import last
 from shapeforge.deformation import family
 from shapeforge.deformation.exemplars import (
+    BROUGHT_ODDS,
     NOWHERE,
     WORTHLESS,
     believed_parts,
@@ -91,7 +92,7 @@ def test_parts_of_two_exemplars_are_found_together_on_a_shape_that_has_both(fami
     assert leading(state.candidates[2]).misfit < min(candidate.misfit for candidate in exemplars)
 
 
-def test_a_part_that_the_best_exemplar_lacks_is_as_likely_there_as_not(family_fit):
+def test_a_part_that_the_best_exemplar_lacks_is_doubted_earlier(family_fit):
     names, state = family_fit
     leg = names.index("leg")
     of_family = next(one for one in state.candidates[2] if one.family)
@@ -108,12 +109,13 @@ def test_a_part_that_the_best_exemplar_lacks_is_as_likely_there_as_not(family_fi
             replace(exemplar, beliefs=lacking, weight=0.5),
         )
 
-    assert believed_parts(candidates(0.5))[leg]
-    assert not believed_parts(candidates(-0.5))[leg]
-    assert believed_parts(candidates(-0.5, painted=True))[leg]
+    assert BROUGHT_ODDS > DOUBT
+    assert believed_parts(candidates(BROUGHT_ODDS + 0.5))[leg]
+    assert not believed_parts(candidates(BROUGHT_ODDS - 0.5))[leg]
+    assert believed_parts(candidates(BROUGHT_ODDS - 0.5, painted=True))[leg]
     # an exemplar to whose template no surface was left speaks against it, but not against one that is quite sure
-    assert believed_parts(candidates(-NOWHERE + 0.5, against=-np.inf))[leg]
-    assert not believed_parts(candidates(-NOWHERE - 0.5, against=-np.inf))[leg]
+    assert believed_parts(candidates(BROUGHT_ODDS - NOWHERE + 0.5, against=-np.inf))[leg]
+    assert not believed_parts(candidates(BROUGHT_ODDS - NOWHERE - 0.5, against=-np.inf))[leg]
 
 
 def two_opinions(family_fit, arm_of_first: bool, said: tuple[float, float], weight: float, family: bool = False):
@@ -143,8 +145,8 @@ def test_a_part_is_not_lent_that_who_explains_the_shape_as_well_doubts(family_fi
     assert lenders((best, lender, replace(third, weight=0.05))) == {arm: 1}
 
 
-def test_what_the_family_lends_is_as_likely_there_as_not(family_fit):
-    for odds, lent in ((0.5, True), (-0.5, False), (np.nan, True)):
+def test_what_the_family_lends_is_doubted_earlier(family_fit):
+    for odds, lent in ((BROUGHT_ODDS + 0.5, True), (BROUGHT_ODDS - 0.5, False), (np.nan, True)):
         arm, found = two_opinions(family_fit, False, (np.nan, odds), 0.9, family=True)
         assert (arm in lenders(found)) == lent
         # an exemplar's own part is only doubted further down
