@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -35,11 +36,17 @@ def fit(task: Task) -> Iterator[Progress]:
 
     project, folder = task.project, task.folder
     checkpoint, went_warm = folder / "checkpoint.zarr.zip", folder / "warm.json"
-    state = read_record(checkpoint)[0] if checkpoint.is_file() else None
+    # a fit that was finished and lost some of its files is not fitted again, and one that lost itself begins anew
+    reached = next((file for file in (checkpoint, folder / "fit.zarr.zip") if file.is_file()), None)
+    state = None if reached is None else read_record(reached)[0]
     start, reason = None, ""
     if state is not None:
         start = state if went_warm.is_file() else None
-    elif task.options["warm"]:
+    else:
+        for left in (folder / "shapes", folder / "rounds"):
+            shutil.rmtree(left, ignore_errors=True)
+        went_warm.unlink(missing_ok=True)
+    if state is None and task.options["warm"]:
         start, reason = warm_start(project)
         if start is None:
             yield task.progress("fit", 0, 1, f"starts anew: {reason}")

@@ -39,6 +39,7 @@ def export(
     names, part_names = project.fit_names, fitted_part_names(project)
     top = project.hierarchy().top
     of_points = part_and_component(top, part_names)
+    state = project.fit() if probabilities else None  # of all shapes: read once
     with clear_disk_errors(out):
         for folder in ("labels", "points"):
             (out / folder).mkdir(parents=True, exist_ok=True)
@@ -50,13 +51,14 @@ def export(
             project.beliefs(name).copies, of_points, part_names,
         )  # fmt: skip
         if probabilities:
-            write_npz(out / "probabilities" / f"{name}.npz", face_and_point_probabilities(project, shape, part_names))
+            found = face_and_point_probabilities(project, shape, part_names, state)
+            write_npz(out / "probabilities" / f"{name}.npz", found)
         yield Progress("export", "write", step + 1, len(names), name)
     write_groups(out / "groups.csv", project)
     write_part_counts(out / "parts.csv", top, {name: project.part_counts(name) for name in names})
-    found = project.descriptors()
-    if found is not None:
-        write_descriptors(out / "descriptors.csv", *found)
+    described = project.descriptors()
+    if described is not None:
+        write_descriptors(out / "descriptors.csv", *described)
     yield Progress("export", "write", len(names), len(names), f"{counted(len(names), 'shape')} exported to {out}")
 
 
@@ -101,15 +103,17 @@ def write_npz(path: Path, arrays: dict[str, np.ndarray]) -> None:
         np.savez(file, **arrays)
 
 
-def face_and_point_probabilities(project: Project, shape: Shape, part_names: PartNames) -> dict[str, np.ndarray]:
+def face_and_point_probabilities(
+    project: Project, shape: Shape, part_names: PartNames, state: Any
+) -> dict[str, np.ndarray]:
     """Label probabilities per face (F, L) with the ids (L,), and the sparse correspondence of surface samples.
 
     Row ``point[i]`` of ``samples`` (P, 3, input coordinates) corresponds to point ``template_point[i]`` of template
-    set ``template`` with probability ``correspondence[i]``.
+    set ``template`` of the fit's ``state`` with probability ``correspondence[i]``.
     """
     from shapeforge.deformation.updates import find_candidates, make_problem, update_correspondences
 
-    state, beliefs = project.fit(), project.beliefs(shape.name)
+    beliefs = project.beliefs(shape.name)
     templates, covariances = state.templates[beliefs.template], state.covariances
     problem = make_problem(shape, project.labels(shape.name))
     candidates = find_candidates(problem, templates, beliefs, covariances.descriptor)
@@ -180,9 +184,16 @@ def apply(
             return apply_one(name, path, options, state, hierarchy), None
         except MeshError as error:
             return None, Problem(str(path), "error", error.problem, error.remedy)
-        except (ValueError, ArithmeticError) as error:
+        except OSError as error:
+            return None, Problem(
+                str(path), "error", f"cannot be read ({error.strerror or error})", "See who may read it"
+            )
+        except (ValueError, ArithmeticError, MemoryError, IndexError) as error:
             project.log(f"apply: {path}", error)
-            return None, Problem(str(path), "error", f"cannot be fitted ({error})", "The project's log has the details")
+            why = str(error) or type(error).__name__
+            if isinstance(error, FloatingPointError):  # it says the shape's name only
+                why = "its fit produced numbers that are not finite"
+            return None, Problem(str(path), "error", f"cannot be fitted ({why})", "The project's log has the details")
 
     done: list[tuple[str, np.ndarray, int]] = []
     failed: list[Problem] = []
@@ -194,10 +205,10 @@ def apply(
                 failed.append(problem)
                 yield Progress("apply", "fit", step + 1, len(found), str(problem), problem=problem)
                 continue
-            shape, labels, positions, existence, beliefs = result
+            shape, labels, positions, existence, beliefs, nearest = result
             write_result(out, shape, labels, positions, existence, beliefs.copies, of_points, part_names)
             counts[name] = count_parts(shape, hierarchy.top, existence, beliefs)
-            done.append((name, beliefs.to_family(positions), beliefs.template))
+            done.append((name, beliefs.to_family(positions), nearest))
             yield Progress("apply", "fit", step + 1, len(found), name)
     finally:
         workers.close()
@@ -213,11 +224,12 @@ def apply(
 
 
 def apply_one(name: str, path: Path, options: dict[str, Any], state: Any, hierarchy: Any) -> tuple[Any, ...]:
-    """One new shape: (shape, face labels, positions (K, 3), existence (K,), beliefs)."""
+    """One new shape: (shape, face labels, positions (K, 3), existence (K,), beliefs, template set of the exemplar that
+    explains it best)."""
     from shapeforge.collection.meshes import read_mesh
     from shapeforge.collection.prepare import prepare_shape
     from shapeforge.deformation.apply import fit_candidates
-    from shapeforge.deformation.exemplars import blend
+    from shapeforge.deformation.exemplars import best_of, blend
     from shapeforge.deformation.faces import Explanations, label_faces
     from shapeforge.deformation.hierarchy import corresponding_points
 
@@ -228,7 +240,9 @@ def apply_one(name: str, path: Path, options: dict[str, Any], state: Any, hierar
     beliefs, explained = blend(candidates), Explanations(candidates, state.templates, state.covariances.unary)
     labels, _ = label_faces(shape, beliefs, explained=explained)
     positions, existence = corresponding_points(shape, beliefs, hierarchy)
-    return shape, labels, positions, existence, beliefs
+    # the family's own templates lead, but are of no group
+    nearest = best_of([one for one in candidates if not one.family]).beliefs.template
+    return shape, labels, positions, existence, beliefs, nearest
 
 
 def describe(machine: Any, positions: Sequence[np.ndarray]) -> np.ndarray:

@@ -24,7 +24,7 @@ from shapeforge.stages_model import (
 from shapeforge.stages_status import RESULTS
 from shapeforge.store import Project
 from shapeforge.store_arrays import read_record, write_record
-from shapeforge.store_results import write_names
+from shapeforge.store_results import write_names, write_round
 
 ROUNDS_PER_ALTERNATION = 1
 """Outer rounds of the fit under the machine's prior in each alternation.  Rounds beyond the fit's own let points slide,
@@ -55,7 +55,8 @@ def refine(task: Task) -> Iterator[Progress]:
     from shapeforge.generative.learning import learn_machine
     from shapeforge.generative.observations import observe
 
-    project, folder = task.project, task.folder
+    # not what it made of them the last time: the same options give the same result
+    project, folder = task.project.unrefined(), task.folder
     names, hierarchy = project.names, project.hierarchy()
     labels, part_names, seeds = starting_parts(project)
     write_names(folder / "names.zarr.zip", names)
@@ -131,10 +132,13 @@ def refine(task: Task) -> Iterator[Progress]:
             # Points that a prior has moved agree with it: only as they were do they tell how far to trust it.
             machine = replace(as_is.state.machine, spread=machine.spread)
             kept, state, positions = number, refined, moved
+            write_round(folder / "rounds" / f"{state.round:03d}.zarr.zip", state)
         save()
         yield task.progress("alternate", number, of, verdict(errors, kept, refused), state=state)
     if kept:
-        for progress in learn_into(task, folder, names, positions, epochs=None, start=machine):
+        for progress in learn_into(
+            replace(task, project=project), folder, names, positions, epochs=None, start=machine
+        ):
             yield task.progress("alternate", number - 1, of, progress.message)
         write_record(folder / "hierarchy.zarr.zip", hierarchy)
         yield from write_shapes(task, folder, state, hierarchy)
@@ -179,8 +183,8 @@ def judging_shapes(project: Project, names: Sequence[str], *, rng: np.random.Gen
 
 
 def _keep_former(project: Project, folder: Path) -> None:
-    """The results of the fit and of the machine that count now, as the results of this stage."""
-    fit, learnt = project.current_folder(project.fit_stage), project.current_folder(project.machine_stage)
+    """The results of the fit and of the machine as the results of this stage."""
+    fit, learnt = project.current_folder("fit"), project.current_folder("learn")
     for name in RESULTS["refine"]:
         source = learnt if name in RESULTS["learn"] else fit
         shutil.copy2(source / f"{name}.zarr.zip", folder / f"{name}.zarr.zip")

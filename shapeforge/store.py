@@ -16,6 +16,7 @@ Every file is written beside its place and renamed into it.  Metadata is JSON, a
 from __future__ import annotations
 
 import contextlib
+import copy
 import dataclasses
 import hashlib
 import json
@@ -105,6 +106,11 @@ class StoredShapes(Sequence):
                 self._kept.popitem(last=False)
         return shape
 
+    def forget(self, name: str) -> None:
+        """Read the shape called ``name`` anew the next time: its file was written, under whatever key."""
+        with self._mutex:
+            self._kept.pop(name, None)
+
 
 class Project(Labels, Results):
     """A project folder.  Reading needs no lock; whatever writes takes it (see :meth:`writing`)."""
@@ -131,6 +137,12 @@ class Project(Labels, Results):
         project = cls(path, metadata)
         write_text(path / "project.json", json.dumps(metadata, indent=1))
         return project
+
+    def unrefined(self) -> Project:
+        """The same project, to be read as if ``refine`` had never been run: what it starts from, however often."""
+        seen = copy.copy(self)
+        seen.heeds_refine = False
+        return seen
 
     @classmethod
     def open(cls, path: str | Path) -> Project:
@@ -229,6 +241,8 @@ class Project(Labels, Results):
     def save_shape(self, shape: Shape, key: str) -> None:
         """Write one prepared shape; it joins the project with :meth:`add_shapes`."""
         write_record(self.shape_path(shape.name), shape, {"key": key})
+        # one that the family's vote turns keeps its key, so that importing its file again finds nothing to do
+        self.shapes.forget(shape.name)
 
     def add_shapes(self, records: Mapping[str, Mapping[str, Any]]) -> None:
         """Add (or replace) shapes whose arrays are written; labels of a changed file are dropped."""

@@ -23,6 +23,8 @@ class Results:
     """
 
     path: Path
+    heeds_refine = True
+    """Whether what ``refine`` made of fit and machine counts instead of them."""
 
     def stage_record(self, stage: str) -> dict[str, Any] | None:
         """The record of one stage, None when it was never run (see the project)."""
@@ -73,6 +75,8 @@ class Results:
     @property
     def fit_stage(self) -> str:
         """Whose fit counts: "refine" when it came after the present fit, else "fit"."""
+        if not self.heeds_refine:
+            return "fit"
         refined, fit = self.stage_record("refine"), self.stage_record("fit")
         newer = refined and fit and refined.get("result") and refined.get("of") == fit.get("result")
         return "refine" if newer else "fit"
@@ -162,22 +166,25 @@ class Results:
 
     def rounds(self, name: str) -> list[Float[np.ndarray, "K 3"]]:
         """Deformed template points (K, 3) of a shape after every recorded round, float16; empty when not recorded."""
-        folder = self.current_folder(self.fit_stage)
         names = self.fit_names
-        if folder is None or name not in names:
+        if name not in names:
             return []
         t, found = names.index(name), []
-        for path in sorted((folder / "rounds").glob("*.zarr.zip")):
+        for path in self._round_files():
             arrays, _ = read_arrays(path)
             start, stop = np.concatenate([[0], np.cumsum(arrays["lengths"])])[t : t + 2]
             found.append(arrays["deformed"][start:stop])
         return found
 
+    def _round_files(self) -> list[Path]:
+        """Recorded rounds of the fit, and of what refined it."""
+        folders = [self.current_folder(stage) for stage in dict.fromkeys(("fit", self.fit_stage))]
+        return [path for folder in folders if folder for path in sorted((folder / "rounds").glob("*.zarr.zip"))]
+
     def round_figures(self) -> list[dict[str, Any]]:
         """Per recorded round: ``energy`` (nats a point), ``change``, ``sigma`` (L,) (diagonals), ``template`` (T,)."""
-        folder = self.current_folder(self.fit_stage)
         found = []
-        for path in sorted((folder / "rounds").glob("*.zarr.zip")) if folder is not None else ():
+        for path in self._round_files():
             arrays, _ = read_arrays(path)
             if "energy" in arrays:
                 figures = {key: arrays[key] for key in ("sigma", "template")}
@@ -189,6 +196,8 @@ class Results:
     @property
     def machine_stage(self) -> str:
         """Whose machine counts: "refine" when it came after the present machine, else "learn"."""
+        if not self.heeds_refine:
+            return "learn"
         refined, learnt = self.stage_record("refine"), self.stage_record("learn")
         newer = refined and learnt and refined.get("result") and refined.get("from") == learnt.get("result")
         return "refine" if newer else "learn"

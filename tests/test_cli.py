@@ -18,6 +18,7 @@ from shapeforge.cli import run_command
 from shapeforge.cli_words import names_in
 from shapeforge.collection.counts import THIN
 from shapeforge.collection.families import write_family
+from shapeforge.collection.iterate import last
 from shapeforge.collection.meshes import read_mesh
 from shapeforge.collection.shape import Mesh
 from shapeforge.collection.surface import closest_points
@@ -181,6 +182,7 @@ def test_apply_labels_a_shape_as_the_fit_would(folder: Path, tmp_path: Path, cap
     with np.load(tmp_path / "points" / "chair_0004.npz", allow_pickle=False) as arrays:
         assert len(arrays["positions"]) == len(arrays["part"]) == len(arrays["existence"])
     assert "chair_0004" in (tmp_path / "descriptors.csv").read_text()
+    assert (tmp_path / "groups.csv").read_text().splitlines()[1] in ("chair_0004,0,false", "chair_0004,1,false")
     assert (folder / "project" / "project.json").read_bytes() == before
 
 
@@ -191,6 +193,30 @@ def test_apply_reports_bad_files_and_fails(folder: Path, tmp_path: Path, capsys)
         tmp_path / "out",
     )  # fmt: skip
     assert status == 1 and "bad.obj" in err and (tmp_path / "out" / "labels" / "chair_0002.seg").is_file()
+
+
+def test_apply_goes_on_after_a_file_that_may_not_be_read(folder: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+    meshes = [folder / "family" / f"chair_000{i}.obj" for i in (2, 3)]
+    read = Path.read_bytes
+
+    def refuse(path: Path) -> bytes:
+        if path.name == meshes[0].name:
+            raise PermissionError(13, "Permission denied", str(path))
+        return read(path)
+
+    monkeypatch.setattr(Path, "read_bytes", refuse)
+    status, _, err = run(capsys, "apply", folder / "project", *meshes, "--out", tmp_path / "out", "--jobs", "1")
+    assert status == 1 and f"{meshes[0]}: cannot be read (Permission denied)" in err
+    assert [line.split(",")[0] for line in (tmp_path / "out" / "groups.csv").read_text().split()[1:]] == ["chair_0003"]
+
+
+def test_probabilities_of_all_shapes_read_the_fit_once(folder: Path, tmp_path: Path, monkeypatch) -> None:
+    from shapeforge.stages_outputs import export
+
+    read, fit = [], Project.fit
+    monkeypatch.setattr(Project, "fit", lambda project: read.append(1) or fit(project))
+    last(export(Project.open(folder / "project"), tmp_path, probabilities=True, jobs=1))
+    assert len(read) == 1 and len(list((tmp_path / "probabilities").glob("*.npz"))) == COUNT
 
 
 def test_new_meshes_are_labelled_face_by_face(folder: Path) -> None:

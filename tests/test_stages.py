@@ -21,6 +21,7 @@ from shapeforge.collection.families import write_family
 from shapeforge.collection.groups import join_groups
 from shapeforge.collection.iterate import last
 from shapeforge.collection.labels import PartNames, read_seg
+from shapeforge.deformation.exemplars import blend
 from shapeforge.deformation.hierarchy import Link
 from shapeforge.deformation.warm import WARM_ROUNDS
 from shapeforge.generative.draw import draw
@@ -405,6 +406,25 @@ def test_refine_replaces_fit_and_machine(done: Project, tmp_path: Path, monkeypa
 
 
 @pytest.mark.slow
+def test_refine_starts_from_the_fit_however_often_and_adds_to_its_rounds(
+    done: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = copy_of(done, tmp_path / "p")
+    rounds = len(project.round_figures())
+    found = []
+    for restart in (False, True):
+        errors_one_by_one(monkeypatch, [0.02, 0.01])
+        last(run(project, "refine", alternations=1, restart=restart))
+        found.append(contents(project))
+        assert len(project.round_figures()) == len(project.rounds("chair_0003")) == rounds + 1
+    assert found[0] == found[1]
+    (project.current_folder("refine") / "fit.zarr.zip").unlink()
+    errors_one_by_one(monkeypatch, [0.02, 0.01])
+    last(run(project, "refine"))
+    assert contents(project) == found[0], "what was lost is made again"
+
+
+@pytest.mark.slow
 def test_refine_keeps_what_was_when_shapes_set_aside_get_worse(
     done: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -586,6 +606,26 @@ def test_a_killed_refit_goes_on_and_ends_with_the_same_bytes(done: Project, fami
     assert states(broken)["fit"] == "partial"
     last(run(broken, "fit", jobs=1))
     assert contents(broken) == contents(unbroken)
+
+
+def test_a_lost_file_of_a_refit_is_written_again_and_the_others_stay(
+    done: Project, family: Path, tmp_path: Path
+) -> None:
+    project = copy_of(done, tmp_path / "p")
+    paint_some(project, family, "chair_0003")
+    last(run(project, "fit", warm=True, jobs=1))
+    found, state = contents(project), project.fit()
+    for lost in ("shapes/chair_0002", "hierarchy"):
+        (project.current_folder("fit") / f"{lost}.zarr.zip").unlink()
+        assert states(project)["fit"] == "stale"
+        last(run(project, "fit", jobs=1))
+        assert contents(project) == found and project.fit().round == state.round
+    (project.current_folder("fit") / "fit.zarr.zip").unlink()
+    told = [progress.message for progress in run(project, "fit", jobs=1)]
+    assert any("starts anew: There is no finished fit." in message for message in told)
+    after = project.fit()
+    for t, name in enumerate(project.names):  # nothing is left of the fit that is gone
+        assert np.array_equal(project.beliefs(name).deformed, blend(after.candidates[t]).deformed)
 
 
 def test_a_refit_that_cannot_be_says_why_and_starts_anew(done: Project, family: Path, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from shapeforge import stages
 from shapeforge.collection.directions import turning_angle
 from shapeforge.collection.families import write_family
 from shapeforge.collection.orient import TURNS
+from shapeforge.collection.prepare import turned
 from shapeforge.stages_pose import BY_HAND, put_back, turn_by_hand
 from shapeforge.store import Project
 
@@ -73,6 +74,16 @@ def test_it_stays_when_the_files_are_imported_again_but_not_with_another_up(proj
     run(project, "import", meshes=[tmp_path / "meshes"], up="keep")
     assert "by_hand" not in project.shape_record(name)
     assert turning_angle(project.shapes.named(name).frame.rotation) < 1e-6
+
+
+def test_what_the_family_turns_is_turned_for_who_imported_it(project):
+    """The vote at the end of an import writes a shape anew under the key that it had, after it was looked at."""
+    name = project.names[0]
+    before, key = project.shapes.named(name), project.shape_record(name)["key"]
+    project.save_shape(turned(before, LYING @ before.frame.rotation, "turned"), key)
+    stored = Project.open(project.path).shapes.named(name)
+    assert not np.allclose(stored.points, before.points)
+    assert np.array_equal(project.shapes.named(name).points, stored.points)
 
 
 def test_what_is_no_rotation_is_refused(project):

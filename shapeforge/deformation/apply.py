@@ -30,7 +30,7 @@ def fit_candidates(
     exemplars_per_shape: int = EXEMPLARS_PER_SHAPE,
     faces: np.ndarray | None = None,
 ) -> tuple[Candidate, ...]:
-    """What exemplars say of a new shape under fixed templates and covariances, annealed as in the family's own fit.
+    """What exemplars say of a new shape under fixed templates and covariances, annealed over ``rounds`` as a fit's are.
 
     ``blend`` makes one of them.  Where ``hierarchy`` links the family's own templates (the last of ``templates``) too,
     these are fitted after the exemplars', as in ``fit_templates``.  ``annealed_from`` is the fit's first σ1
