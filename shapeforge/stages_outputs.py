@@ -59,6 +59,8 @@ def export(
     described = project.descriptors()
     if described is not None:
         write_descriptors(out / "descriptors.csv", *described)
+    asked = names if probabilities else ()
+    yield from _left_in(out, "export", {"labels": names, "points": names, "probabilities": asked})
     yield Progress("export", "write", len(names), len(names), f"{counted(len(names), 'shape')} exported to {out}")
 
 
@@ -152,6 +154,24 @@ def write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[Any]]) 
     write_text(path, text.getvalue())
 
 
+def _left_in(out: Path, stage: str, written: Mapping[str, Sequence[str]]) -> Iterator[Progress]:
+    """A warning if the folders of ``out`` hold other shapes' files than those ``written``: they may go by other ids.
+
+    They are not deleted: they may be all that is left of another project's results.
+    """
+    others = [
+        file
+        for folder, names in written.items()
+        for file in sorted((out / folder).glob("*.seg" if folder == "labels" else "*.npz"))
+        if file.stem not in set(names)
+    ]
+    if others:
+        which = f"{others[0].relative_to(out)}{', …' if len(others) > 1 else ''}"
+        text = f"holds {counted(len(others), 'file')} written earlier ({which}), whose label ids may be others"
+        problem = Problem(str(out), "warning", text, "Write into an empty folder, or delete them")
+        yield Progress(stage, "write", 1, 1, str(problem), problem=problem)
+
+
 # -- apply -----------------------------------------------------------------------------------------------------------
 
 
@@ -218,6 +238,8 @@ def apply(
     machine = project.machine()
     if machine is not None and done:
         write_descriptors(out / "descriptors.csv", [n for n, _, _ in done], describe(machine, [p for _, p, _ in done]))
+    names = [name for name, _, _ in done]
+    yield from _left_in(out, "apply", {"labels": names, "points": names})
     if failed:
         raise StageError(f"{len(failed)} of {len(found)} files were not labelled: {failed[0]}")
     yield Progress("apply", "fit", len(found), len(found), f"{counted(len(done), 'shape')} labelled in {out}")
@@ -255,7 +277,12 @@ def describe(machine: Any, positions: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _group_of_template(project: Project, state: Any) -> list[int]:
-    """Number of the group whose exemplar each template set came from, -1 where that is no exemplar any more."""
-    groups = project.groups
-    exemplars = [] if groups is None else [project.names[t] for t in groups.exemplars]
-    return [exemplars.index(t.source) if t.source in exemplars else -1 for t in state.templates]
+    """Number of the group of the shape that each template set came from, -1 where that is in none (any more).
+
+    Of proposed parts that need not be the group's exemplar (see ``starting_groups``).
+    """
+    groups, names = project.groups, set(project.names)
+    return [
+        int(groups.group[project.index(one.source)]) if groups is not None and one.source in names else -1
+        for one in state.templates
+    ]

@@ -86,8 +86,13 @@ def clear_disk_errors(path: Path) -> Iterator[None]:
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary path beside ``path`` to write to; on success it is flushed and renamed to ``path``.
 
-    Raises :class:`ProjectError` for a full disk, missing rights and the like; ``path`` is then as it was.
+    A link stays one: what it points to is replaced.  Raises :class:`ProjectError` for a full disk, missing rights and
+    the like, and for what is no ordinary file (a device); ``path`` is then as it was.
     """
+    if path.is_symlink():
+        path = path.resolve()
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise ProjectError(path, "is no ordinary file, which could be replaced", "Name another file")
     temporary = path.with_name(f"{path.name}.tmp-{os.getpid()}-{os.urandom(3).hex()}")
     with clear_disk_errors(path):
         try:

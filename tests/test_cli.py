@@ -210,6 +210,18 @@ def test_apply_goes_on_after_a_file_that_may_not_be_read(folder: Path, tmp_path:
     assert [line.split(",")[0] for line in (tmp_path / "out" / "groups.csv").read_text().split()[1:]] == ["chair_0003"]
 
 
+def test_what_was_written_there_earlier_stays_and_is_named(folder: Path, tmp_path: Path, capsys) -> None:
+    (tmp_path / "labels").mkdir()
+    (tmp_path / "labels" / "lamp.seg").write_text("1\n")
+    chair = folder / "family" / "chair_0002.obj"
+    for line in (["apply", folder / "project", chair], ["export", folder / "project"]):
+        status, _, err = run(capsys, *line, "--out", tmp_path, "--jobs", "1")
+        assert status == 0 and "lamp.seg" in err and "Write into an empty folder" in err
+    assert (tmp_path / "labels" / "lamp.seg").read_text() == "1\n"
+    status, _, err = run(capsys, "export", folder / "project", "--out", tmp_path / "new", "--jobs", "1")
+    assert status == 0 and "empty folder" not in err
+
+
 def test_probabilities_of_all_shapes_read_the_fit_once(folder: Path, tmp_path: Path, monkeypatch) -> None:
     from shapeforge.stages_outputs import export
 

@@ -26,7 +26,7 @@ from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.hierarchy import Hierarchy, Link
 from shapeforge.deformation.templates import template_from_points
 from shapeforge.store import Problem, Project, ProjectError, key_of
-from shapeforge.store_arrays import decode, encode, read_arrays, read_record, write_arrays, write_record
+from shapeforge.store_arrays import decode, encode, read_arrays, read_record, write_arrays, write_record, write_text
 
 
 def small_shape(name: str = "box", seed: int = 0, n_points: int = 12) -> Shape:
@@ -467,3 +467,14 @@ def test_parts_and_labels_change_together_or_not_at_all_wherever_the_process_is_
     parts, faces, history, edits = found[4]
     assert parts == PartNames((3, 2), ("all", "rest")) and history == {"at": 1} and edits["done"] == 1
     assert faces == {"a": [0] * 5, "b": [1] * 5, "c": None}
+
+
+def test_a_link_stays_one_and_what_is_no_file_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "there").write_text("old")
+    (tmp_path / "link").symlink_to(tmp_path / "there")
+    write_text(tmp_path / "link", "new")
+    assert (tmp_path / "link").is_symlink() and (tmp_path / "there").read_text() == "new"
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ProjectError, match="no ordinary file"):
+        write_text(tmp_path / "pipe", "new")
+    assert (tmp_path / "pipe").is_fifo()
