@@ -27,7 +27,8 @@ SECONDS_BETWEEN_SAVES = 2.0
 class Reading:
     """A file to import: the shape's name, where to read it, where it came from, what its result will be filed under.
 
-    ``by_hand`` is how the user turned the shape (see ``stages_pose.turn_by_hand``), None where nobody did.
+    ``stamp`` is size and time of change of the source when it was as in ``sha256``; ``by_hand`` is how the user turned
+    the shape (see ``stages_pose.turn_by_hand``), None where nobody did.
     """
 
     name: str
@@ -35,14 +36,15 @@ class Reading:
     source: Path
     sha256: str
     key: str
+    stamp: tuple[int, int]
     by_hand: Mapping[str, Any] | None = None
 
 
 def import_meshes(task: Task) -> Iterator[Progress]:
-    """Read, check, orient, sample and describe meshes (``meshes``: files and folders, None: go on with the copies).
+    """Read, check, orient, sample and describe meshes (``meshes``: files and folders, None: those read before).
 
     A file that cannot be read is reported and skipped.  Shapes that are there already, from the same bytes and by the
-    same options, are not read again; a changed file is.
+    same options, are not read again; a changed file is.  Of files that are gone the project's copies are taken.
     """
     from shapeforge.collection.meshes import MeshError, find_meshes
 
@@ -137,19 +139,14 @@ def _plan(task: Task, found: Sequence[tuple[str, Path]]) -> tuple[list[Reading],
     for name, path in found:
         source = path.resolve()
         try:
-            sha256 = _digest(path)
+            stamp, sha256 = _stamp_and_digest(path)
         except OSError as error:
             reason = f"cannot be opened ({error.strerror or error})"
             failed.append(Problem(str(source), "error", reason, "Check the path and its permissions"))
             continue
         given.add(name)
-        readings.append(_reading(task, name, path, source, sha256))
-    for name in project.names:
-        if name not in given:
-            record = project.shape_record(name)
-            source, copy = Path(record["source"]), project.mesh_path(name)
-            unchanged = source.is_file() and _digest(source) == record["sha256"]
-            readings.append(_reading(task, name, source if unchanged else copy, source, record["sha256"]))
+        readings.append(_reading(task, name, path, source, sha256, stamp))
+    readings += [_reading_again(task, name, changed=not found) for name in project.names if name not in given]
     wanted = []
     for reading in readings:
         known = reading.name in project.names and project.shape_record(reading.name)["key"] == reading.key
@@ -160,20 +157,37 @@ def _plan(task: Task, found: Sequence[tuple[str, Path]]) -> tuple[list[Reading],
     return wanted, kept, failed
 
 
-def _digest(path: Path) -> str:
+def _reading_again(task: Task, name: str, *, changed: bool) -> Reading:
+    """What to read of a shape whose file was not given: the file, if it is as it was or ``changed`` ones are wanted,
+    else the project's copy, which keeps the stamp of what it is a copy of: that the file changed can still be seen."""
+    record = task.project.shape_record(name)
+    source = Path(record["source"])
+    try:
+        stamp, sha256 = _stamp_and_digest(source)
+    except OSError:  # gone, or not to be opened
+        sha256 = None
+    if sha256 is not None and (changed or sha256 == record["sha256"]):
+        return _reading(task, name, source, source, sha256, stamp)
+    stamp = record["size"], record["modified"]
+    return _reading(task, name, task.project.mesh_path(name), source, record["sha256"], stamp)
+
+
+def _stamp_and_digest(path: Path) -> tuple[tuple[int, int], str]:
+    """(size, time of change) and SHA-256 of a file; ``OSError`` where there is none."""
     if path.exists() and not path.is_file():  # reading a pipe or a device might never end
         raise OSError("it is no ordinary file")
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    found = path.stat()  # first: a change that comes in between is seen at the next look
+    return (found.st_size, found.st_mtime_ns), hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _reading(task: Task, name: str, file: Path, source: Path, sha256: str) -> Reading:
+def _reading(task: Task, name: str, file: Path, source: Path, sha256: str, stamp: tuple[int, int]) -> Reading:
     """What to read, turned as the user turned the same bytes under the same ``up``: what was said last counts."""
     record = task.project.shape_record(name) if name in task.project.names else {}
     by_hand = record.get("by_hand")
     if by_hand is not None and (record["sha256"] != sha256 or by_hand["up"] != task.options["up"]):
         by_hand = None
     key = key_of(sha256, {name: task.options[name] for name in ("points", "up", "seed")})
-    return Reading(name, file, source, sha256, key if by_hand is None else turned_key(key, by_hand), by_hand)
+    return Reading(name, file, source, sha256, key if by_hand is None else turned_key(key, by_hand), stamp, by_hand)
 
 
 def _import_one(
@@ -203,10 +217,10 @@ def _import_one(
     if reading.file != project.path / copy:
         copy_file(reading.file, project.path / copy)
     project.save_shape(shape, reading.key)
-    stamp = reading.source.stat() if reading.source.exists() else None
+    size, modified = reading.stamp
     record = {
         "file": str(copy), "source": source, "sha256": reading.sha256, "key": reading.key,
-        "modified": stamp.st_mtime_ns if stamp else 0, "size": stamp.st_size if stamp else 0,
+        "modified": modified, "size": size,
         "n_faces": int(mesh.n_faces), "n_triangles": len(mesh.triangles), "notes": list(shape.notes),
         "pose": "open" if options["up"] == "auto" and reading.by_hand is None else "settled",
     }  # fmt: skip

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import typer
 
+from shapeforge import stages_import
 from shapeforge.cli import run_command
 from shapeforge.cli_output import follow
 from shapeforge.cli_words import names_in
@@ -184,6 +185,41 @@ def test_a_file_that_goes_bad_keeps_its_shape(project: Project, cube: Path, caps
     assert run(capsys, "import", project.path, cube)[0] == 0
     again = Project.open(project.path)
     assert again.problems == [] and again.shape_record("cube")["n_faces"] == 7
+
+
+@pytest.mark.parametrize("more", [(), ("--restart",), ("--points", 150)])
+def test_changed_files_are_read_again_without_being_named(
+    project: Project, cube: Path, capsys: pytest.CaptureFixture[str], more: tuple[object, ...]
+) -> None:
+    cube.write_text(CUBE + "f 1 3 7 5\n")
+    assert run(capsys, "import", project.path, *more)[0] == 0
+    again = Project.open(project.path)
+    assert again.shape_record("cube")["n_faces"] == 7 and again.shapes.named("cube").mesh.n_faces == 7
+    assert again.mesh_path("cube").read_bytes() == cube.read_bytes() and again.changed_sources() == []
+    cube.unlink()  # the copy is there
+    assert run(capsys, "import", project.path, "--restart")[0] == 0
+    assert Project.open(project.path).shape_record("cube")["n_faces"] == 7
+
+
+def test_a_change_that_was_not_read_can_still_be_seen(
+    project: Project, cube: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "other.obj").write_text(CUBE)
+    cube.write_text(CUBE + "f 1 3 7 5\n")
+    assert run(capsys, "import", project.path, tmp_path / "other.obj", "--points", 150)[0] == 0
+    again = Project.open(project.path)
+    assert again.shape_record("cube")["n_faces"] == 6 and again.changed_sources() == ["cube"]
+
+    def change(path: Path) -> tuple[tuple[int, int], str]:
+        found = looked(path)
+        if path.name == cube.name:
+            path.write_text(CUBE + "f 1 3 7 5\n" * 2)
+        return found
+
+    looked = stages_import._stamp_and_digest
+    monkeypatch.setattr(stages_import, "_stamp_and_digest", change)
+    assert run(capsys, "import", project.path, cube)[0] == 0
+    assert Project.open(project.path).changed_sources() == ["cube"], "it changed while it was read"
 
 
 # -- labels ----------------------------------------------------------------------------------------------------------
