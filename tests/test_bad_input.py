@@ -201,6 +201,27 @@ def test_changed_files_are_read_again_without_being_named(
     assert Project.open(project.path).shape_record("cube")["n_faces"] == 7
 
 
+def test_stages_say_that_files_changed_and_how_to_read_them_again(
+    project: Project, cube: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cube.write_text(CUBE + "f 1 3 7 5\n")
+    status, out, err = run(capsys, "group", project.path, "--json")
+    again = f"shapeforge import {project.path}"
+    assert status == 0 and json.loads(out.splitlines()[-1])["stale"] == ["import"]
+    said = [line for line in err.splitlines() if "1 file changed since being read (cube)" in line]
+    assert len(said) == 1 and "warning: " in said[0] and again in said[0] and "redone when needed" not in err
+    assert f"next: Read the changed files again: {again}" in err
+    status, _, err = run(capsys, "export", project.path, "--out", tmp_path / "out")
+    assert status == 1 and err.count("1 file changed since being read") == 1
+    cube.write_text("v 0 0 0\n")
+    status, _, err = run(capsys, "import", project.path)
+    assert status == 0 and "not read: " in err and "cube.obj" in err
+    assert "next: Read" not in err, "it cannot be read: other work goes on"
+    cube.write_text(CUBE)
+    status, out, _ = run(capsys, "info", project.path)
+    assert status == 0 and "changed since" not in out and "next: Read" not in out
+
+
 def test_a_change_that_was_not_read_can_still_be_seen(
     project: Project, cube: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
