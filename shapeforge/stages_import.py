@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from shapeforge.collection.counts import counted
+from shapeforge.collection.counts import counted, grouped
+from shapeforge.collection.labels import write_seg
 from shapeforge.stages import Progress, StageError, Task
 from shapeforge.stages_pose import BY_HAND, settle_poses, turned_key
-from shapeforge.store import Problem, Project, key_of
+from shapeforge.store import Problem, Project, ProjectError, key_of
 from shapeforge.store_arrays import copy_file
 
 TEMPORARY = re.compile(r"\.tmp-[0-9]+-[0-9a-f]{6}$")
@@ -196,7 +197,6 @@ def _import_one(
     """Prepare and write one shape; its record, what is odd about it, and the error if it could not be read."""
     from shapeforge.collection.meshes import MeshError, read_mesh, repair_notes
     from shapeforge.collection.prepare import prepare_shape, turned
-    from shapeforge.store import ProjectError
 
     source = str(reading.source)
     try:
@@ -213,6 +213,8 @@ def _import_one(
         return None, [Problem(source, "error", f"cannot be prepared ({error})", remedy)], error
     if any(character in reading.name for character in "/\\\0"):
         raise ProjectError(source, "has a name that cannot be a file's", "Rename it")
+    warnings = [Problem(source, "warning", doubt) for doubt in doubts]
+    warnings += _labels_set_aside(project, reading, mesh.n_faces)
     copy = Path("meshes") / f"{reading.name}{reading.file.suffix.lower()}"
     if reading.file != project.path / copy:
         copy_file(reading.file, project.path / copy)
@@ -226,5 +228,30 @@ def _import_one(
     }  # fmt: skip
     if reading.by_hand is not None:
         record["by_hand"] = dict(reading.by_hand)
-    warnings = [Problem(source, "warning", doubt) for doubt in doubts]
     return record, warnings, None
+
+
+def _labels_set_aside(project: Project, reading: Reading, n_faces: int) -> list[Problem]:
+    """Keep the labels of a shape that is about to have ``n_faces`` faces, which they do not fit, beside their mesh.
+
+    They are written as a ``.seg`` file, before the copy of the mesh is replaced; a warning that says where.
+    """
+    name, source = reading.name, str(reading.source)
+    record = project.shape_record(name) if name in project.names else {}
+    parts, key = project.part_names, project.label_key(name)
+    if key is None or parts is None or record.get("n_faces", n_faces) == n_faces:
+        return []
+    reason = f"it had {counted(record['n_faces'], 'face')} and now has {grouped(n_faces)}: "
+    reason += f"the labels of {name} no longer fit and were taken away"
+    try:
+        faces = project.labels(name)
+    except ProjectError:  # damaged: there is nothing to keep
+        return [Problem(source, "warning", reason, "Label it again")]
+    old = project.mesh_path(name)
+    place = project.path / "meshes" / "before" / f"{name}-{key[:8]}{old.suffix}"
+    place.parent.mkdir(parents=True, exist_ok=True)
+    if old.is_file() and not place.is_file():  # after a kill it may be the new mesh that lies there
+        copy_file(old, place)
+    write_seg(place.with_name(f"{name}-{key[:8]}.seg"), faces, parts)
+    remedy = f"They are kept in {place.parent / place.stem}.seg, beside the mesh that they fit"
+    return [Problem(source, "warning", reason, remedy)]

@@ -4,7 +4,7 @@
 
     project.json                 version, names, problems, part names, what each stage did with which options
     shapeforge.log               what happened when, with the tracebacks the command line hides
-    meshes/<name>.<ext>          copies of the input files
+    meshes/<name>.<ext>          copies of the input files; before/…: those whose labels no longer fit, and the labels
     shapes/<name>.zarr.zip       one prepared shape: mesh, samples, descriptors, patches (zarr v3 in a zip)
     labels/<name>/<key>.zarr.zip part of every face record, as given or painted; history/…: the strokes that led to it
     groups.zarr.zip              groups and exemplars
@@ -231,7 +231,7 @@ class Project(Labels, Results):
         write_record(self.shape_path(shape.name), shape, {"key": key})
 
     def add_shapes(self, records: Mapping[str, Mapping[str, Any]]) -> None:
-        """Add (or replace) shapes whose arrays are written; labels of a changed file are dropped."""
+        """Add (or replace) shapes whose arrays are written; labels of another number of faces are dropped."""
         with self._changing() as metadata:
             for name, record in records.items():
                 old = metadata["shapes"].get(name)

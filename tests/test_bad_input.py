@@ -519,6 +519,36 @@ def test_exemplars_without_labels_are_said(two: Project, tmp_path: Path, capsys:
     assert run(capsys, "label", two.path, tmp_path / "two", "--only", "exemplars")[0] == 1
 
 
+@pytest.mark.parametrize("damaged", [False, True])
+def test_labels_that_no_longer_fit_are_kept_beside_their_mesh(
+    project: Project, cube: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], damaged: bool
+) -> None:
+    (tmp_path / "good" / "cube.seg").write_text("4\n2\n4\n-1\n4\n2\n")
+    (tmp_path / "good" / "labels.json").write_text('{"4": "leg", "2": "seat"}')
+    assert run(capsys, "label", project.path, tmp_path / "good")[0] == 0
+    cube.write_text(CUBE.replace("v 1 1 1", "v 1 1 1.5"))
+    status, _, err = run(capsys, "import", project.path)
+    assert status == 0 and "taken away" not in err and Project.open(project.path).labelled == ("cube",)
+    before = cube.read_bytes()
+    for file in (project.path / "labels" / "cube").iterdir() if damaged else ():
+        file.write_bytes(b"half")
+    cube.write_text(CUBE + "f 1 3 7 5\n")
+    status, _, err = run(capsys, "import", project.path)
+    said = "it had 6 faces and now has 7: the labels of cube no longer fit and were taken away"
+    assert status == 0 and f"warning: {cube}: {said}" in err
+    again = Project.open(project.path)
+    assert again.labelled == () and said in [problem.reason for problem in again.problems]
+    kept = sorted((project.path / "meshes").glob("before/*"))
+    if damaged:
+        assert kept == [] and "Label it again" in err
+        return
+    assert [file.suffix for file in kept] == [".obj", ".seg"] and str(kept[1]) in err
+    assert kept[0].read_bytes() == before and kept[1].read_text() == "4\n2\n4\n-1\n4\n2\n"
+    cube.write_text(CUBE)
+    assert run(capsys, "import", project.path, tmp_path)[0] == 0
+    assert Project.open(project.path).names == ("cube",), "what is kept is no further shape"
+
+
 def test_a_label_file_without_labels_is_doubtful(
     project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
