@@ -79,7 +79,7 @@ def import_meshes(task: Task) -> Iterator[Progress]:
             project.add_shapes(records)
             records, saved = {}, time.monotonic()
         message = f"{reading.name}: {counted(record['n_faces'], 'face')}" if record else str(found_problems[0])
-        problem = found_problems[0] if found_problems else None
+        problem = Problem.together(found_problems) if found_problems else None
         yield task.progress("read", step + 1, total, message, problem=problem)
     project.add_shapes(records)
     about = [str(reading.source) for reading in readings] + [problem.file for problem in failed]

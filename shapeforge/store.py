@@ -59,6 +59,13 @@ class Problem:
         text = f"{self.file}: {self.reason.rstrip('.')}."
         return f"{text} {self.remedy.rstrip('.')}{'' if self.remedy.endswith('?') else '.'}" if self.remedy else text
 
+    @classmethod
+    def together(cls, problems: Sequence[Problem]) -> Problem:
+        """All that is to be said about one file, in one: reasons and remedies one after the other."""
+        reason = "; ".join(problem.reason.rstrip(".") for problem in problems)
+        remedy = ". ".join(dict.fromkeys(problem.remedy.rstrip(".") for problem in problems if problem.remedy))
+        return cls(problems[0].file, problems[0].kind, reason, remedy)
+
 
 class StoredShapes(Sequence):
     """The prepared shapes of a project, read one at a time; the most recently used stay in memory."""

@@ -16,6 +16,7 @@ from shapeforge import stages_import
 from shapeforge.cli import run_command
 from shapeforge.cli_output import follow
 from shapeforge.cli_words import names_in
+from shapeforge.collection.families import write_family
 from shapeforge.stages import Progress, StageError
 from shapeforge.stages_recipes import read_recipe
 from shapeforge.stages_status import difference
@@ -241,6 +242,23 @@ def test_a_change_that_was_not_read_can_still_be_seen(
     monkeypatch.setattr(stages_import, "_stamp_and_digest", change)
     assert run(capsys, "import", project.path, cube)[0] == 0
     assert Project.open(project.path).changed_sources() == ["cube"], "it changed while it was read"
+
+
+def test_all_that_is_odd_about_a_file_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also what comparing it with the others finds; and what was said comes again in the project's list."""
+    write_family(tmp_path / "in", "chairs", 3, seed=3, broken=0.0)
+    lying = sorted((tmp_path / "in").glob("*.obj"))[0]
+    lines = lying.read_text().splitlines()
+    faces = [line for line in lines if line.startswith("f ")]
+    turned = [f"v {x} {-float(z)} {y}" for x, y, z in (line.split()[1:4] for line in lines if line.startswith("v "))]
+    lying.write_text("\n".join([*turned, *faces, "f 1 1 2", faces[0], ""]))
+    status, _, err = run(capsys, "import", tmp_path / "p", tmp_path / "in", "--points", 300)
+    said = [line for line in err.splitlines() if "warning: " in line]
+    assert status == 0 and len(said) == 1, err
+    notes = ("1 face without area, ignored", "drawn twice, counted twice", "turned: +z seems to be up", "in the window")
+    assert str(lying) in said[0] and all(note in said[0] for note in notes)
+    reasons = [problem.reason for problem in Project.open(tmp_path / "p").problems]
+    assert len(reasons) == 3 and all(reason in said[0] for reason in reasons)
 
 
 # -- labels ----------------------------------------------------------------------------------------------------------
