@@ -195,7 +195,7 @@ def _import_one(
     project: Project, reading: Reading, options: Mapping[str, Any]
 ) -> tuple[dict[str, Any] | None, list[Problem], BaseException | None]:
     """Prepare and write one shape; its record, what is odd about it, and the error if it could not be read."""
-    from shapeforge.collection.meshes import MeshError, read_mesh, repair_notes
+    from shapeforge.collection.meshes import MeshError, read_mesh, repair_notes, too_little
     from shapeforge.collection.prepare import prepare_shape, turned
 
     source = str(reading.source)
@@ -205,7 +205,7 @@ def _import_one(
         shape = prepare_shape(reading.name, mesh, n_points=int(options["points"]), up=options["up"], rng=rng)
         if reading.by_hand is not None:
             shape = turned(shape, np.array(reading.by_hand["rotation"]), BY_HAND)
-        doubts = list(repair_notes(mesh))
+        doubts, little = list(repair_notes(mesh)), too_little(mesh)
     except MeshError as error:
         return None, [Problem(source, "error", error.problem, error.remedy)], error
     except (ValueError, ArithmeticError, MemoryError, IndexError) as error:
@@ -214,6 +214,7 @@ def _import_one(
     if any(character in reading.name for character in "/\\\0"):
         raise ProjectError(source, "has a name that cannot be a file's", "Rename it")
     warnings = [Problem(source, "warning", doubt) for doubt in doubts]
+    warnings += [Problem(source, "warning", little, "Check that the file holds the whole shape")] if little else []
     warnings += _labels_set_aside(project, reading, mesh.n_faces)
     copy = Path("meshes") / f"{reading.name}{reading.file.suffix.lower()}"
     if reading.file != project.path / copy:

@@ -244,6 +244,16 @@ def test_a_change_that_was_not_read_can_still_be_seen(
     assert Project.open(project.path).changed_sources() == ["cube"], "it changed while it was read"
 
 
+def test_a_mesh_that_is_hardly_a_shape_is_doubtful(
+    tmp_path: Path, cube: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "piece.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    status, _, err = run(capsys, "import", tmp_path / "p", cube, tmp_path / "piece.obj", "--points", 200)
+    assert status == 0 and Project.open(tmp_path / "p").names == ("cube", "piece")
+    said = [line for line in err.splitlines() if "warning: " in line]
+    assert len(said) == 1 and "piece.obj: it has only 1 triangle, too few for a shape" in said[0]
+
+
 def test_all_that_is_odd_about_a_file_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Also what comparing it with the others finds; and what was said comes again in the project's list."""
     write_family(tmp_path / "in", "chairs", 3, seed=3, broken=0.0)
