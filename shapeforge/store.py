@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import difflib
 import hashlib
 import json
 import threading
@@ -41,6 +42,8 @@ __all__ = ["FORMAT_VERSION", "Problem", "Project", "ProjectError", "StoredShapes
 FORMAT_VERSION = 1
 SHAPES_IN_MEMORY = 256 << 20
 """Bytes of prepared shapes kept in memory; the shape used longest ago goes first."""
+NAMES_SAID = 5
+"""Names of shapes in a message, at most."""
 _METADATA = {"name": str, "shapes": dict, "problems": list, "labels": dict, "stages": dict}
 _SHAPE_RECORD = {"file", "source", "sha256", "key", "modified", "size", "n_faces"}
 _OWN_FILES = {"project.json", "shapeforge.log", "lock", "meshes", "shapes", "labels"}
@@ -209,8 +212,15 @@ class Project(Labels, Results):
         try:
             return self._metadata["shapes"][name]
         except KeyError:
-            known = ", ".join(self.names[:5]) + (", …" if len(self.names) > 5 else "")
-            raise ProjectError(self.path, f"has no shape {name!r}", f"Its shapes: {known or 'none yet'}") from None
+            raise ProjectError(self.path, f"has no shape {name!r}", self.names_near(name)) from None
+
+    def names_near(self, name: str) -> str:
+        """What shapes there are, in words: those called much like ``name``, where there are many."""
+        near = difflib.get_close_matches(name, self.names, n=NAMES_SAID) if len(self.names) > NAMES_SAID else []
+        if near:
+            return f"Called much like it: {', '.join(near)}"
+        known = ", ".join(self.names[:NAMES_SAID]) + (", …" if len(self.names) > NAMES_SAID else "")
+        return f"Its shapes: {known or 'none yet'}"
 
     def shape_path(self, name: str) -> Path:
         """Where the prepared shape lies."""

@@ -338,7 +338,7 @@ def test_a_folder_that_is_no_project(tmp_path: Path, capsys: pytest.CaptureFixtu
         (("export", "P", "--out", "o"), "needs fit first"),
         (("apply", "P", "m.obj", "--out", "o"), "needs fit first"),
         (("validate", "P"), "nothing to compare with"),
-        (("group", "P", "--exemplars", "sphere"), "'sphere' is not a shape"),
+        (("group", "P", "--exemplars", "sphere"), "'sphere' is not a shape of P. Its shapes: cube\n"),
     ],
 )
 def test_what_is_missing_is_said(
@@ -346,7 +346,7 @@ def test_what_is_missing_is_said(
 ) -> None:
     words = [str(project.path) if word == "P" else word for word in arguments]
     status, _, err = run(capsys, *words)
-    assert status == 1 and expected in err and err.startswith("error: ")
+    assert status == 1 and expected.replace("P.", f"{project.path}.") in err and err.startswith("error: ")
 
 
 @pytest.mark.parametrize(
