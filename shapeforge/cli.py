@@ -76,8 +76,9 @@ def run_stage(
     summary = dict(record.get("summary") or {})
     typer.echo(f"{stage}: {latest.message if latest else summary.get('text', 'done')}")
     stale = [name for name, now in stages.status(project).items() if now.state == "stale"]
-    if stale:
-        typer.echo(f"stale now, redone when needed: {', '.join(stale)}", err=True)
+    redone = [name for name in stale if name != "import"]  # files are read again when that is asked for
+    if redone:
+        typer.echo(f"stale now, redone when needed: {', '.join(redone)}", err=True)
     typer.echo(f"next: {stages.next_step(project)}", err=True)
     if as_json:
         print_json({
@@ -93,7 +94,10 @@ def import_(
     path: ProjectPath,
     meshes: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="MESHES...", help="Mesh files and folders of them (obj, off, ply, stl, glb, gltf)."),
+        typer.Argument(
+            metavar="MESHES...",
+            help="Mesh files and folders of them (obj, off, ply, stl, glb, gltf); none: changed ones anew.",
+        ),
     ] = None,
     points: Annotated[int | None, typer.Option(min=100, help="Samples per shape (first run: 5000).")] = None,
     up: Annotated[str | None, typer.Option(help="Which axis is up: auto, x, y, z or keep (first run: auto).")] = None,

@@ -16,6 +16,8 @@ from shapeforge.collection.counts import THIN
 QUIET = ("stale", "partial", "start", "learn", "faces")
 """Phases whose steps are no lines of their own where there is no terminal for the bar: rounds are, epochs are not."""
 
+TOGETHER = (("import", "read"), ("import", "orient"))
+"""Stages and phases whose warnings are printed at the end, all of a file in one line."""
 
 PLAIN = {
     THIN: " ",
@@ -45,7 +47,11 @@ def _plain_characters(error: UnicodeError) -> tuple[str, int]:
 
 
 def follow(project: Any, steps: Iterator[Any], what: str) -> Any:
-    """Iterate with a progress bar on standard error; the last progress.  Problems are printed as they come."""
+    """Iterate with a progress bar on standard error; the last progress.
+
+    Problems are printed as they come, but warnings of files that are read at the end: what reading and comparing them
+    found is one line for each.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -54,14 +60,17 @@ def follow(project: Any, steps: Iterator[Any], what: str) -> Any:
         TextColumn("{task.fields[stage]}"), TextColumn("[dim]{task.fields[phase]}"), BarColumn(24),
         MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("[dim]{task.description}", markup=True),
     )  # fmt: skip
-    latest = None
+    latest, odd = None, {}
     try:
         with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
             line = bar.add_task("", total=None, stage=what, phase="")
             for latest in steps:
-                if latest.problem is not None:
-                    mark = "not read" if latest.problem.kind == "error" else "warning"
-                    bar.console.print(f"  {mark}: {latest.problem}", markup=False)
+                problem = latest.problem
+                if problem is not None and problem.kind == "warning" and (latest.stage, latest.phase) in TOGETHER:
+                    odd.setdefault(problem.file, []).append(problem)
+                elif problem is not None:
+                    mark = "not read" if problem.kind == "error" else "warning"
+                    bar.console.print(f"  {mark}: {problem}", markup=False)
                 elif latest.phase in ("stale", "partial"):
                     bar.console.print(f"  {latest.message}", markup=False)
                 left = f", {spoken(latest.seconds_left)} left" if (latest.seconds_left or 0) >= 2 else ""
@@ -80,6 +89,9 @@ def follow(project: Any, steps: Iterator[Any], what: str) -> Any:
     except Exception as error:
         project.log(f"{what}: {type(error).__name__}: {error}", error)
         raise
+    finally:
+        for problems in odd.values():
+            console.print(f"  warning: {type(problems[0]).together(problems)}", markup=False)
     return latest
 
 

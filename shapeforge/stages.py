@@ -23,6 +23,7 @@ from shapeforge.stages_status import (
     REVISION,
     STAGES,
     Status,
+    changed_words,
     difference,
     inputs_of,
     lost_results,
@@ -127,9 +128,20 @@ def run(
 
 def _run(project: Project, stage: str, jobs: int | None, restart: bool, given: dict[str, Any]) -> Iterator[Progress]:
     with project.writing(), threadpool_limits(1, "blas"), contextlib.closing(Workers(jobs)) as workers:
+        if stage != "import":
+            yield from _say_changed(project)
         for before in NEEDS[stage]:
             yield from _refresh(project, before, workers, stage)
         yield from _run_one(project, stage, workers, restart, given)
+
+
+def _say_changed(project: Project) -> Iterator[Progress]:
+    """A warning where files of shapes changed since they were read: no other stage than the import reads files."""
+    changed = changed_words(project)
+    if changed:
+        remedy = f"The shapes are as they were read; to read the changes: shapeforge import {project.path}"
+        problem = Problem(str(project.path), "warning", changed, remedy)
+        yield Progress("import", "stale", 0, 1, str(problem), problem=problem)
 
 
 def refresh(
@@ -139,6 +151,7 @@ def refresh(
 
     Raises :class:`StageError` when one that is not ``optional`` was never run.
     """
+    yield from _say_changed(project)
     states = status(project)
     if all(states[stage].state == "done" for stage in stages):
         return

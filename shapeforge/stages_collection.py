@@ -50,7 +50,8 @@ def group(task: Task) -> Iterator[Progress]:
         chosen = None
     unknown = [name for name in chosen or () if name not in project.names]
     if unknown:
-        raise StageError(f"exemplars: {unknown[0]!r} is not a shape of {project.path}; shapeforge info lists them")
+        which = project.names_near(unknown[0])
+        raise StageError(f"exemplars: {unknown[0]!r} is not a shape of {project.path}. {which}")
     exemplars = [project.index(name) for name in chosen] if chosen else None
     rng = np.random.default_rng(task.options["seed"])
     state = None

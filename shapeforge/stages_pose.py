@@ -56,6 +56,8 @@ def settle_poses(task: Task) -> Iterator[Progress]:
     about = {project.shape_record(name)["source"] for name in still_open}
     others = [problem for problem in project.problems if problem.file in about]
     project.set_problems([*others, *problems], sorted(about))
+    for problem in problems:
+        yield task.progress("orient", len(names), len(names), problem.reason, problem=problem)
     yield task.progress("orient", len(names), len(names), f"{len(problems)} turned")
 
 

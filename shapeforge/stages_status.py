@@ -300,11 +300,15 @@ def _import_status(project: Project, record: Mapping[str, Any] | None) -> Status
         return Status("missing", "no shapes yet")
     if record and record["state"] == "partial":
         return Status("partial", f"was stopped after {counted(number, 'shape')}; it goes on with the rest")
+    changed = changed_words(project)
+    return Status("stale", changed) if changed else Status("done", counted(number, "shape"))
+
+
+def changed_words(project: Project) -> str:
+    """How many files of shapes changed since they were read, and some of them, in words; empty when none did."""
     changed = project.changed_sources()
-    if changed:
-        some = ", ".join(changed[:3]) + (", …" if len(changed) > 3 else "")
-        return Status("stale", f"{counted(len(changed), 'file')} changed since being read ({some})")
-    return Status("done", counted(number, "shape"))
+    some = ", ".join(changed[:3]) + (", …" if len(changed) > 3 else "")
+    return f"{counted(len(changed), 'file')} changed since being read ({some})" if changed else ""
 
 
 def _label_status(project: Project) -> Status:
@@ -326,6 +330,11 @@ def _label_status(project: Project) -> Status:
 def next_step(project: Project) -> str:
     """One sentence: the command that is most worth running next."""
     states = status(project)
+    if states["import"].state == "stale":
+        unreadable = {problem.file for problem in project.problems if problem.kind == "error"}
+        changed = [project.shape_record(name)["source"] for name in project.changed_sources()]
+        if not unreadable.issuperset(changed):  # what could not be read is said beside it, and holds nothing up
+            return f"Read the changed files again: shapeforge import {project.path}"
     required = ("import", "group", "label", "fit", "learn", "synthesize")
     for stage in required:
         state = states[stage].state

@@ -4,7 +4,7 @@
 
     project.json                 version, names, problems, part names, what each stage did with which options
     shapeforge.log               what happened when, with the tracebacks the command line hides
-    meshes/<name>.<ext>          copies of the input files
+    meshes/<name>.<ext>          copies of the input files; before/…: those whose labels no longer fit, and the labels
     shapes/<name>.zarr.zip       one prepared shape: mesh, samples, descriptors, patches (zarr v3 in a zip)
     labels/<name>/<key>.zarr.zip part of every face record, as given or painted; history/…: the strokes that led to it
     groups.zarr.zip              groups and exemplars
@@ -18,6 +18,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import dataclasses
+import difflib
 import hashlib
 import json
 import threading
@@ -42,6 +43,8 @@ __all__ = ["FORMAT_VERSION", "Problem", "Project", "ProjectError", "StoredShapes
 FORMAT_VERSION = 1
 SHAPES_IN_MEMORY = 256 << 20
 """Bytes of prepared shapes kept in memory; the shape used longest ago goes first."""
+NAMES_SAID = 5
+"""Names of shapes in a message, at most."""
 _METADATA = {"name": str, "shapes": dict, "problems": list, "labels": dict, "stages": dict}
 _SHAPE_RECORD = {"file", "source", "sha256", "key", "modified", "size", "n_faces"}
 _OWN_FILES = {"project.json", "shapeforge.log", "lock", "meshes", "shapes", "labels"}
@@ -59,6 +62,13 @@ class Problem:
     def __str__(self) -> str:
         text = f"{self.file}: {self.reason.rstrip('.')}."
         return f"{text} {self.remedy.rstrip('.')}{'' if self.remedy.endswith('?') else '.'}" if self.remedy else text
+
+    @classmethod
+    def together(cls, problems: Sequence[Problem]) -> Problem:
+        """All that is to be said about one file, in one: reasons and remedies one after the other."""
+        reason = "; ".join(problem.reason.rstrip(".") for problem in problems)
+        remedy = ". ".join(dict.fromkeys(problem.remedy.rstrip(".") for problem in problems if problem.remedy))
+        return cls(problems[0].file, problems[0].kind, reason, remedy)
 
 
 class StoredShapes(Sequence):
@@ -214,8 +224,15 @@ class Project(Labels, Results):
         try:
             return self._metadata["shapes"][name]
         except KeyError:
-            known = ", ".join(self.names[:5]) + (", …" if len(self.names) > 5 else "")
-            raise ProjectError(self.path, f"has no shape {name!r}", f"Its shapes: {known or 'none yet'}") from None
+            raise ProjectError(self.path, f"has no shape {name!r}", self.names_near(name)) from None
+
+    def names_near(self, name: str) -> str:
+        """What shapes there are, in words: those called much like ``name``, where there are many."""
+        near = difflib.get_close_matches(name, self.names, n=NAMES_SAID) if len(self.names) > NAMES_SAID else []
+        if near:
+            return f"Called much like it: {', '.join(near)}"
+        known = ", ".join(self.names[:NAMES_SAID]) + (", …" if len(self.names) > NAMES_SAID else "")
+        return f"Its shapes: {known or 'none yet'}"
 
     def shape_path(self, name: str) -> Path:
         """Where the prepared shape lies."""
@@ -245,7 +262,7 @@ class Project(Labels, Results):
         self.shapes.forget(shape.name)
 
     def add_shapes(self, records: Mapping[str, Mapping[str, Any]]) -> None:
-        """Add (or replace) shapes whose arrays are written; labels of a changed file are dropped."""
+        """Add (or replace) shapes whose arrays are written; labels of another number of faces are dropped."""
         with self._changing() as metadata:
             for name, record in records.items():
                 old = metadata["shapes"].get(name)

@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 import typer
 
+from shapeforge import stages_import
 from shapeforge.cli import run_command
 from shapeforge.cli_output import follow
 from shapeforge.cli_words import names_in
+from shapeforge.collection.families import write_family
 from shapeforge.stages import Progress, StageError
 from shapeforge.stages_recipes import read_recipe
 from shapeforge.stages_status import difference
@@ -186,6 +188,89 @@ def test_a_file_that_goes_bad_keeps_its_shape(project: Project, cube: Path, caps
     assert again.problems == [] and again.shape_record("cube")["n_faces"] == 7
 
 
+@pytest.mark.parametrize("more", [(), ("--restart",), ("--points", 150)])
+def test_changed_files_are_read_again_without_being_named(
+    project: Project, cube: Path, capsys: pytest.CaptureFixture[str], more: tuple[object, ...]
+) -> None:
+    cube.write_text(CUBE + "f 1 3 7 5\n")
+    assert run(capsys, "import", project.path, *more)[0] == 0
+    again = Project.open(project.path)
+    assert again.shape_record("cube")["n_faces"] == 7 and again.shapes.named("cube").mesh.n_faces == 7
+    assert again.mesh_path("cube").read_bytes() == cube.read_bytes() and again.changed_sources() == []
+    cube.unlink()  # the copy is there
+    assert run(capsys, "import", project.path, "--restart")[0] == 0
+    assert Project.open(project.path).shape_record("cube")["n_faces"] == 7
+
+
+def test_stages_say_that_files_changed_and_how_to_read_them_again(
+    project: Project, cube: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cube.write_text(CUBE + "f 1 3 7 5\n")
+    status, out, err = run(capsys, "group", project.path, "--json")
+    again = f"shapeforge import {project.path}"
+    assert status == 0 and json.loads(out.splitlines()[-1])["stale"] == ["import"]
+    said = [line for line in err.splitlines() if "1 file changed since being read (cube)" in line]
+    assert len(said) == 1 and "warning: " in said[0] and again in said[0] and "redone when needed" not in err
+    assert f"next: Read the changed files again: {again}" in err
+    status, _, err = run(capsys, "export", project.path, "--out", tmp_path / "out")
+    assert status == 1 and err.count("1 file changed since being read") == 1
+    cube.write_text("v 0 0 0\n")
+    status, _, err = run(capsys, "import", project.path)
+    assert status == 0 and "not read: " in err and "cube.obj" in err
+    assert "next: Read" not in err, "it cannot be read: other work goes on"
+    cube.write_text(CUBE)
+    status, out, _ = run(capsys, "info", project.path)
+    assert status == 0 and "changed since" not in out and "next: Read" not in out
+
+
+def test_a_change_that_was_not_read_can_still_be_seen(
+    project: Project, cube: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "other.obj").write_text(CUBE)
+    cube.write_text(CUBE + "f 1 3 7 5\n")
+    assert run(capsys, "import", project.path, tmp_path / "other.obj", "--points", 150)[0] == 0
+    again = Project.open(project.path)
+    assert again.shape_record("cube")["n_faces"] == 6 and again.changed_sources() == ["cube"]
+
+    def change(path: Path) -> tuple[tuple[int, int], str]:
+        found = looked(path)
+        if path.name == cube.name:
+            path.write_text(CUBE + "f 1 3 7 5\n" * 2)
+        return found
+
+    looked = stages_import._stamp_and_digest
+    monkeypatch.setattr(stages_import, "_stamp_and_digest", change)
+    assert run(capsys, "import", project.path, cube)[0] == 0
+    assert Project.open(project.path).changed_sources() == ["cube"], "it changed while it was read"
+
+
+def test_a_mesh_that_is_hardly_a_shape_is_doubtful(
+    tmp_path: Path, cube: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "piece.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    status, _, err = run(capsys, "import", tmp_path / "p", cube, tmp_path / "piece.obj", "--points", 200)
+    assert status == 0 and Project.open(tmp_path / "p").names == ("cube", "piece")
+    said = [line for line in err.splitlines() if "warning: " in line]
+    assert len(said) == 1 and "piece.obj: it has only 1 triangle, too few for a shape" in said[0]
+
+
+def test_all_that_is_odd_about_a_file_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also what comparing it with the others finds; and what was said comes again in the project's list."""
+    write_family(tmp_path / "in", "chairs", 3, seed=3, broken=0.0)
+    lying = sorted((tmp_path / "in").glob("*.obj"))[0]
+    lines = lying.read_text().splitlines()
+    faces = [line for line in lines if line.startswith("f ")]
+    turned = [f"v {x} {-float(z)} {y}" for x, y, z in (line.split()[1:4] for line in lines if line.startswith("v "))]
+    lying.write_text("\n".join([*turned, *faces, "f 1 1 2", faces[0], ""]))
+    status, _, err = run(capsys, "import", tmp_path / "p", tmp_path / "in", "--points", 300)
+    said = [line for line in err.splitlines() if "warning: " in line]
+    assert status == 0 and len(said) == 1, err
+    notes = ("1 face without area, ignored", "drawn twice, counted twice", "turned: +z seems to be up", "in the window")
+    assert str(lying) in said[0] and all(note in said[0] for note in notes)
+    reasons = [problem.reason for problem in Project.open(tmp_path / "p").problems]
+    assert len(reasons) == 3 and all(reason in said[0] for reason in reasons)
+
+
 # -- labels ----------------------------------------------------------------------------------------------------------
 
 
@@ -253,7 +338,7 @@ def test_a_folder_that_is_no_project(tmp_path: Path, capsys: pytest.CaptureFixtu
         (("export", "P", "--out", "o"), "needs fit first"),
         (("apply", "P", "m.obj", "--out", "o"), "needs fit first"),
         (("validate", "P"), "nothing to compare with"),
-        (("group", "P", "--exemplars", "sphere"), "'sphere' is not a shape"),
+        (("group", "P", "--exemplars", "sphere"), "'sphere' is not a shape of P. Its shapes: cube\n"),
     ],
 )
 def test_what_is_missing_is_said(
@@ -261,7 +346,7 @@ def test_what_is_missing_is_said(
 ) -> None:
     words = [str(project.path) if word == "P" else word for word in arguments]
     status, _, err = run(capsys, *words)
-    assert status == 1 and expected in err and err.startswith("error: ")
+    assert status == 1 and expected.replace("P.", f"{project.path}.") in err and err.startswith("error: ")
 
 
 @pytest.mark.parametrize(
@@ -460,6 +545,36 @@ def test_exemplars_without_labels_are_said(two: Project, tmp_path: Path, capsys:
     assert status == 0 and "a.seg" in err and json.loads(out.splitlines()[-1])["without"] == ["a"]
     (tmp_path / "two" / "a.seg").write_text("0\n")
     assert run(capsys, "label", two.path, tmp_path / "two", "--only", "exemplars")[0] == 1
+
+
+@pytest.mark.parametrize("damaged", [False, True])
+def test_labels_that_no_longer_fit_are_kept_beside_their_mesh(
+    project: Project, cube: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], damaged: bool
+) -> None:
+    (tmp_path / "good" / "cube.seg").write_text("4\n2\n4\n-1\n4\n2\n")
+    (tmp_path / "good" / "labels.json").write_text('{"4": "leg", "2": "seat"}')
+    assert run(capsys, "label", project.path, tmp_path / "good")[0] == 0
+    cube.write_text(CUBE.replace("v 1 1 1", "v 1 1 1.5"))
+    status, _, err = run(capsys, "import", project.path)
+    assert status == 0 and "taken away" not in err and Project.open(project.path).labelled == ("cube",)
+    before = cube.read_bytes()
+    for file in (project.path / "labels" / "cube").iterdir() if damaged else ():
+        file.write_bytes(b"half")
+    cube.write_text(CUBE + "f 1 3 7 5\n")
+    status, _, err = run(capsys, "import", project.path)
+    said = "it had 6 faces and now has 7: the labels of cube no longer fit and were taken away"
+    assert status == 0 and f"warning: {cube}: {said}" in err
+    again = Project.open(project.path)
+    assert again.labelled == () and said in [problem.reason for problem in again.problems]
+    kept = sorted((project.path / "meshes").glob("before/*"))
+    if damaged:
+        assert kept == [] and "Label it again" in err
+        return
+    assert [file.suffix for file in kept] == [".obj", ".seg"] and str(kept[1]) in err
+    assert kept[0].read_bytes() == before and kept[1].read_text() == "4\n2\n4\n-1\n4\n2\n"
+    cube.write_text(CUBE)
+    assert run(capsys, "import", project.path, tmp_path)[0] == 0
+    assert Project.open(project.path).names == ("cube",), "what is kept is no further shape"
 
 
 def test_a_label_file_without_labels_is_doubtful(

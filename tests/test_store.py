@@ -197,6 +197,16 @@ def test_a_shape_with_another_number_of_faces_loses_its_labels(project: Project)
     assert project.labelled == ("b",)
 
 
+def test_of_many_shapes_those_called_much_alike_are_named(project: Project) -> None:
+    assert project.names_near("d") == "Its shapes: a, b, c"
+    add(project, *(f"chair_{number:04d}" for number in range(4)), "table")
+    assert project.names_near("tabel") == "Called much like it: table"
+    assert project.names_near("chair_01") == "Called much like it: chair_0001, chair_0003, chair_0002, chair_0000"
+    assert project.names_near("x") == "Its shapes: a, b, c, chair_0000, chair_0001, …"
+    with pytest.raises(ProjectError, match=r"has no shape 'tabel'. Called much like it: table\.$"):
+        project.index("tabel")
+
+
 def test_few_shapes_stay_in_memory(project: Project) -> None:
     from shapeforge.store import StoredShapes
 

@@ -22,13 +22,15 @@ from shapeforge.collection.mesh_files import write_mesh
 from shapeforge.collection.records import CUT_SHORT, EXPORT_AGAIN, MeshError, Records, read_obj, read_off, read_ply
 from shapeforge.collection.shape import Mesh
 
-__all__ = ["MeshError", "find_meshes", "read_mesh", "repair_notes", "triangulate_records", "write_mesh"]
+__all__ = ["MeshError", "find_meshes", "read_mesh", "repair_notes", "too_little", "triangulate_records", "write_mesh"]
 
 RECORD_READERS = {".obj": read_obj, ".off": read_off, ".ply": read_ply}
 TRIANGLE_FORMATS = (".stl", ".glb", ".gltf")
 MESH_ENDINGS = (*RECORD_READERS, *TRIANGLE_FORMATS)
 # areas and their squares must stay inside binary64; a mesh this far from its own size has lost its detail to rounding
 LARGEST, SMALLEST, FARTHEST = 1e50, 1e-50, 1e9
+FEWEST = 4
+"""Triangles of the least solid, a tetrahedron."""
 
 
 def read_mesh(path: str | Path) -> Mesh:
@@ -165,6 +167,16 @@ def repair_notes(mesh: Mesh) -> tuple[str, ...]:
     if repeated:
         notes.append(f"{counted(repeated, 'triangle')} drawn twice, counted twice")
     return tuple(notes)
+
+
+def too_little(mesh: Mesh) -> str:
+    """Why a mesh is hardly a whole shape (fewer than FEWEST triangles, or all in one plane), in words; else ""."""
+    used = mesh.triangles[mesh.triangle_areas > 0]
+    if len(used) < FEWEST:
+        return f"it has only {counted(len(used), 'triangle')}, too few for a shape"
+    points = mesh.vertices[np.unique(used)]
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return "all of its faces lie in one plane" if spread[2] < 1e-6 * spread[0] else ""
 
 
 def find_meshes(paths: Iterable[str | Path]) -> list[tuple[str, Path]]:

@@ -109,6 +109,10 @@ def read_obj(path: Path, data: bytes) -> Records:
     if error == kernels.BAD_INDEX:
         raise MeshError(path, f"line {line}: a face uses a vertex that does not exist", EXPORT_AGAIN)
     _settle(path, data, vertices, hard)
+    last = data[data.rfind(b"\n") + 1 :].split()
+    if last[:1] == [b"f"] and len(last) < 4:  # a whole file ends its last line; elsewhere such faces keep their number
+        line = data.count(b"\n") + 1
+        raise MeshError(path, f"line {line}: a face with fewer than 3 corners, where the file ends", CUT_SHORT)
     return Records(vertices.reshape(-1, 3), corners[:n_corners], counts)
 
 

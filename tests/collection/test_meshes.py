@@ -17,6 +17,7 @@ from shapeforge.collection.meshes import (
     find_meshes,
     read_mesh,
     repair_notes,
+    too_little,
     triangulate_records,
     write_mesh,
 )
@@ -72,6 +73,19 @@ def test_a_clean_mesh_has_no_notes_and_a_repeated_triangle_is_noted(tmp_path):
     assert repair_notes(read_mesh(written(tmp_path, "a.obj", SQUARE + "f 1 2 3 4\n"))) == ()
     twice = read_mesh(written(tmp_path, "b.obj", SQUARE + "f 1 2 3\nf 3 2 1\n"))
     assert repair_notes(twice) == ("1 triangle drawn twice, counted twice",)
+
+
+def test_too_few_triangles_or_a_flat_mesh_are_no_whole_shape(tmp_path):
+    above, fan = "v 0.5 0.5 1\n", "f 1 2 5\nf 2 3 5\nf 3 4 5\n"
+    said = {
+        SQUARE + "f 1 2 3\n": "it has only 1 triangle, too few for a shape",
+        SQUARE + above + fan + "f 1 1 2\n": "it has only 3 triangles, too few for a shape",
+        SQUARE + "v 0.5 0.5 0\n" + fan + "f 4 1 5\n": "all of its faces lie in one plane",
+        SQUARE + above + fan + "f 4 1 5\n": "",
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 .001\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 3 1 4\n": "",
+    }
+    for text, words in said.items():
+        assert too_little(read_mesh(written(tmp_path, "a.obj", text))) == words
 
 
 @given(
@@ -223,6 +237,9 @@ BAD = {
     "word.obj": (SQUARE + "f one two three\n", "line 5"),
     "comma.obj": ("v 0,5 1,5 2\n" + SQUARE + "f 1 2 3\n", "'0,5'"),
     "short.obj": ("v 0 0 0\nv 1 0\n", "line 2"),
+    "cut_face.obj": (SQUARE + "f 1 2 3\nf 3 4", "line 6: a face with fewer than 3 corners"),
+    "cut_corner.obj": (SQUARE + "f 1 2 3\nf 3/", "line 6: a face with fewer than 3 corners"),
+    "cut_letter.obj": (SQUARE + "f 1 2 3\nf", "line 6: a face with fewer than 3 corners"),
     "nan.obj": (SQUARE + "v nan 0 0\nf 1 2 5\n", "vertex 5"),
     "inf.obj": (SQUARE + "v 0 1e999 0\nf 1 2 5\n", "vertex 5"),
     "windows_nan.obj": (SQUARE + "v -1.#IND 0 0\nf 1 2 5\n", "line 5"),
