@@ -11,13 +11,16 @@ from typing import Any
 
 import typer
 
-from shapeforge.collection.counts import THIN
+from shapeforge.collection.counts import THIN, counted
 
 QUIET = ("stale", "partial", "start", "learn", "faces")
 """Phases whose steps are no lines of their own where there is no terminal for the bar: rounds are, epochs are not."""
 
 TOGETHER = (("import", "read"), ("import", "orient"))
 """Stages and phases whose warnings are printed at the end, all of a file in one line."""
+
+ODD_FILES = 20
+"""Files whose warnings are printed at most: where z is up in all of a large collection, all of them are turned."""
 
 PLAIN = {
     THIN: " ",
@@ -90,8 +93,11 @@ def follow(project: Any, steps: Iterator[Any], what: str) -> Any:
         project.log(f"{what}: {type(error).__name__}: {error}", error)
         raise
     finally:
-        for problems in odd.values():
+        for problems in list(odd.values())[:ODD_FILES]:
             console.print(f"  warning: {type(problems[0]).together(problems)}", markup=False)
+        if len(odd) > ODD_FILES:
+            more = counted(len(odd) - ODD_FILES, "more file")
+            console.print(f"  warning: {more} with something odd: shapeforge info {project.path}", markup=False)
     return latest
 
 

@@ -7,6 +7,7 @@ import os
 import shutil
 import struct
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,13 +15,13 @@ import typer
 
 from shapeforge import stages_import
 from shapeforge.cli import run_command
-from shapeforge.cli_output import follow
+from shapeforge.cli_output import ODD_FILES, follow
 from shapeforge.cli_words import names_in
 from shapeforge.collection.families import write_family
 from shapeforge.stages import Progress, StageError
 from shapeforge.stages_recipes import read_recipe
 from shapeforge.stages_status import difference
-from shapeforge.store import Project
+from shapeforge.store import Problem, Project
 
 CUBE = """v 0 0 0
 v 1 0 0
@@ -269,6 +270,14 @@ def test_all_that_is_odd_about_a_file_is_one_line(tmp_path: Path, capsys: pytest
     assert str(lying) in said[0] and all(note in said[0] for note in notes)
     reasons = [problem.reason for problem in Project.open(tmp_path / "p").problems]
     assert len(reasons) == 3 and all(reason in said[0] for reason in reasons)
+
+
+def test_of_many_odd_files_some_are_named_and_the_rest_counted(capsys: pytest.CaptureFixture[str]) -> None:
+    found = [Problem(f"{t:03}.obj", "warning", "turned") for t in range(ODD_FILES + 5)]
+    steps = [Progress("import", "orient", 0, 1, "", problem=one) for one in found]
+    follow(SimpleNamespace(path="P"), iter(steps), "import")
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == ODD_FILES + 1 and "5 more files with something odd: shapeforge info P" in said[-1]
 
 
 # -- labels ----------------------------------------------------------------------------------------------------------
