@@ -19,6 +19,7 @@ SMALLEST_STRETCH, LARGEST_STRETCH, LARGEST_SHEAR = 1 / 3, 3.0, 0.5
 SETTLED = 2e-4  # largest change of the map's entries in a step below which it has converged
 BOUNDS = (SMALLEST_STRETCH, LARGEST_STRETCH, LARGEST_SHEAR)
 ACROSS = ~np.eye(3, dtype=bool)
+FEWEST = 4  # points that an affine map is sought from: as many as determine one
 KEPT_SHARE = 0.9  # of the distances, in the trimmed residual: a tenth may belong to parts that only one shape has
 
 
@@ -83,8 +84,8 @@ def affine_align(
 
 
 def _checked(argument: str, points: np.ndarray, count: int) -> np.ndarray:
-    if len(points) < 4:
-        raise ValueError(f"{argument}: wanted at least 4 points, got {len(points)}; was the shape sampled?")
+    if len(points) < FEWEST:
+        raise ValueError(f"{argument}: wanted at least {FEWEST} points, got {len(points)}; was the shape sampled?")
     picked = np.ascontiguousarray(thinned(points, count), dtype=np.float64)
     if not np.isfinite(picked).all():
         raise ValueError(f"{argument}: wanted finite coordinates, got NaN or infinity; usually a broken mesh")
