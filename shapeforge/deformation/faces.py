@@ -110,6 +110,8 @@ def template_probabilities(shape: Shape, explained: Explanations) -> Float[np.nd
         beliefs = candidate.beliefs
         template = explained.templates[beliefs.template]
         alive = np.flatnonzero(beliefs.alive(template.label))
+        if not len(alive):
+            continue
         near = alive[nearest_points(beliefs.deformed[alive], centres[heard], TEMPLATE_CANDIDATES)[0]]
         apart = (centres[heard, None] - beliefs.deformed[near]) ** 2 @ (1.0 / explained.unary)
         turned = np.abs(np.einsum("fki,fi->fk", mapped_normals(template, beliefs)[near], normals[heard]))
