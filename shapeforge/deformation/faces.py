@@ -30,13 +30,13 @@ NORMAL_REACH = 0.03
 LEAST_PROBABILITY = 1e-3
 
 TEMPLATE_CANDIDATES = 15
-"""Template points that may correspond to a face, as many as to a sample."""
+"""Template points that may correspond to a face: the nearest."""
 
 TEMPLATE_SHARE = 0.4
 """What the templates' voice is worth on a face with very many samples; on one without samples it is all."""
 
 LEAST_VOICE = 0.05
-"""An exemplar whose word is worth less than this at a face is not asked there."""
+"""An explanation whose word is worth less than this at a face is not asked there."""
 
 BORDER = 60.0
 """Width of a border in thousandths of the root of the area (see ``cut_faces``)."""
@@ -44,7 +44,8 @@ BORDER = 60.0
 
 @dataclass(frozen=True, eq=False)
 class Explanations:
-    """What explains one shape: each exemplar's beliefs with their voices, the templates they deform, Σ1 (variances)."""
+    """What explains one shape: the beliefs by exemplars and by the family's own templates, with their voices; the
+    templates that they deform, Σ1 (variances)."""
 
     candidates: Sequence[Candidate]
     templates: Sequence[PartTemplates]
@@ -99,7 +100,7 @@ def _of_samples(shape: Shape, segmentation: np.ndarray) -> tuple[np.ndarray, np.
 
 def template_probabilities(shape: Shape, explained: Explanations) -> Float[np.ndarray, "F L"]:
     """Label probabilities of every face (n_faces, L) by φ1 and the normals alone: the correspondence update for its
-    centre, summed over the template points of each part, averaged over the exemplars by their voices there.
+    centre, summed over the template points of each part, averaged over the explanations by their voices there.
     """
     centres, normals = shape.mesh.face_centres, shape.mesh.face_normals
     parts = believed_parts(explained.candidates)
