@@ -131,7 +131,6 @@ def label_faces(
     painted: Int[np.ndarray, " F"] | None = None,
     *,
     explained: Explanations | None = None,
-    weight: float = BORDER,
 ) -> tuple[Int[np.ndarray, " F"], Float[np.ndarray, "F L"]]:
     """Part label (n_faces,) of every face by a graph cut over the faces, and the probabilities (n_faces, L) it used.
 
@@ -143,7 +142,7 @@ def label_faces(
         known = np.flatnonzero(np.asarray(painted) >= 0)
         probabilities[known] = np.eye(probabilities.shape[1])[painted[known]]
     cost = -np.log(np.maximum(probabilities, LEAST_PROBABILITY))
-    labels = cut_faces(shape.mesh, cost, weight=weight)
+    labels = cut_faces(shape.mesh, cost, weight=BORDER)
     if painted is not None:
         labels[known] = painted[known]
     return labels.astype(np.int32), probabilities.astype(np.float32)
