@@ -30,7 +30,6 @@ _WHERE = {
     "repair_notes": "meshes",
     "write_mesh": "meshes",
     "UNLABELLED": "labels",
-    "FaceLabels": "labels",
     "LabelError": "labels",
     "PartNames": "labels",
     "find_part_names": "labels",

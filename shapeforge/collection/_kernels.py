@@ -224,7 +224,7 @@ def bridges(points, tails, heads):
         if pieces == 1:
             return made[:n_made]
         best[:] = np.inf
-        # points in the order of x: a pair farther apart in x than both pieces' best gaps cannot help
+        # a pair farther apart in x than both pieces' best gaps cannot help
         for i in range(n):
             a = piece[i]
             for j in range(i + 1, n):

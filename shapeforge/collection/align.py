@@ -14,11 +14,15 @@ from jaxtyping import Float, Shaped
 
 from shapeforge.collection import _kernels_align
 
+RIDGE = 0.2  # of the source's mean variance, with which a map is pulled towards its start
 STARTS = ("box", "identity", "spread")
 SMALLEST_STRETCH, LARGEST_STRETCH, LARGEST_SHEAR = 1 / 3, 3.0, 0.5
 SETTLED = 2e-4  # largest change of the map's entries in a step below which it has converged
 BOUNDS = (SMALLEST_STRETCH, LARGEST_STRETCH, LARGEST_SHEAR)
 ACROSS = ~np.eye(3, dtype=bool)
+FEWEST = 4  # points that an affine map is sought from: as many as determine one
+COMPARED_STARTS, COMPARED_ITERATIONS = ("spread",), 12  # of the maps by which shapes are compared
+STRETCH_WEIGHT = 0.4  # of what such a map moves, beside what it leaves
 KEPT_SHARE = 0.9  # of the distances, in the trimmed residual: a tenth may belong to parts that only one shape has
 
 
@@ -39,11 +43,6 @@ class Alignment:
         """Points (n, 3) of the source, moved onto the target."""
         return points @ self.matrix.T + self.offset
 
-    def inverse(self) -> Alignment:
-        """The map back; the residual is kept as it is (it was measured on the target's side)."""
-        back = np.linalg.inv(self.matrix)
-        return Alignment(back, -back @ self.offset, self.residual, self.start)
-
 
 def thinned(points: Shaped[np.ndarray, "n ..."], count: int) -> Shaped[np.ndarray, "m ..."]:
     """At most ``count`` of the rows of ``points`` (n, …), evenly over their order: no randomness."""
@@ -57,16 +56,15 @@ def affine_align(
     target: Float[np.ndarray, "m 3"],
     *,
     starts: Sequence[str] = STARTS,
-    ridge: float = 0.2,
     n_points: int = 600,
     max_iterations: int = 30,
 ) -> Alignment:
     """The affine map that takes surface points ``source`` (n, 3) to ``target`` (m, 3): the best of several starts.
 
-    Symmetric ICP on at most ``n_points`` points of each; ``ridge`` (relative to the source's mean variance) pulls
-    towards the start, which keeps thin directions from collapsing.  Starts: "box" (bounding box onto bounding box),
-    "identity", "spread" (standard deviation onto standard deviation).  Never mirrors; stretches stay in [1/3, 3].
-    Algorithm 1 line 1: it absorbs the anisotropic scale between the exemplar and a shape.
+    Symmetric ICP on at most ``n_points`` points of each; a ``RIDGE`` pulls towards the start, which keeps thin
+    directions from collapsing.  Starts: "box" (bounding box onto bounding box), "identity", "spread" (standard
+    deviation onto standard deviation).  Never mirrors; stretches stay in [1/3, 3].  Algorithm 1 line 1: it
+    absorbs the anisotropic scale between the exemplar and a shape.
 
     Raises ValueError for too few or non-finite points or an unknown start.
     """
@@ -75,7 +73,7 @@ def affine_align(
         raise ValueError(f"starts: wanted some of {STARTS}, got {tuple(starts)}; usually a misspelt name")
     best: Alignment | None = None
     for name in starts:
-        matrix, offset, residual = _closest_points(a, b, *_start(name, a, b), ridge, max_iterations)
+        matrix, offset, residual = _closest_points(a, b, *_start(name, a, b), max_iterations)
         if best is None or residual < best.residual:
             best = Alignment(matrix, offset, residual, name)
     assert best is not None
@@ -83,8 +81,8 @@ def affine_align(
 
 
 def _checked(argument: str, points: np.ndarray, count: int) -> np.ndarray:
-    if len(points) < 4:
-        raise ValueError(f"{argument}: wanted at least 4 points, got {len(points)}; was the shape sampled?")
+    if len(points) < FEWEST:
+        raise ValueError(f"{argument}: wanted at least {FEWEST} points, got {len(points)}; was the shape sampled?")
     picked = np.ascontiguousarray(thinned(points, count), dtype=np.float64)
     if not np.isfinite(picked).all():
         raise ValueError(f"{argument}: wanted finite coordinates, got NaN or infinity; usually a broken mesh")
@@ -92,13 +90,13 @@ def _checked(argument: str, points: np.ndarray, count: int) -> np.ndarray:
 
 
 def _closest_points(
-    source: np.ndarray, target: np.ndarray, start: np.ndarray, offset: np.ndarray, ridge: float, max_iterations: int
+    source: np.ndarray, target: np.ndarray, start: np.ndarray, offset: np.ndarray, max_iterations: int
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """One start of symmetric, robust, ridge-regularised affine ICP: (matrix, offset, residual).
 
     Each iteration pairs every moved source point with its nearest target point and the other way round, weighs pairs
     with a scale that anneals towards the typical distance, and solves the weighted least squares for the affine map,
-    pulled towards the start by ``ridge`` times the mean variance of the source.
+    pulled towards the start by ``RIDGE`` times the mean variance of the source.
     """
     matrix, through, back = start.copy(), offset.copy(), np.linalg.inv(start)
     fixed = np.ascontiguousarray(target.T, np.float32)
@@ -108,7 +106,7 @@ def _closest_points(
     while left > 0:
         before = matrix.copy(), through.copy()
         taken, wide, outcome, mean = _kernels_align.closest_point_steps(
-            source, target, fixed, start, back, ridge, BOUNDS, SETTLED, left, wide, matrix, through, *pairs
+            source, target, fixed, start, back, RIDGE, BOUNDS, SETTLED, left, wide, matrix, through, *pairs
         )
         left -= taken
         if outcome == _kernels_align.OUT_OF_BOUNDS:
@@ -168,21 +166,20 @@ def dissimilarity(
     b: Float[np.ndarray, "m 3"],
     *,
     n_points: int = 256,
-    starts: Sequence[str] = ("spread",),
-    stretch_weight: float = 0.4,
-    max_iterations: int = 12,
 ) -> float:
     """How much deformation maps the points of one shape to those of the other, both ways (§2), in diagonals.
 
-    The distance left after the best affine map (a -> b and b -> a, averaged) plus ``stretch_weight`` times the mean
+    The distance left after the best affine map (a -> b and b -> a, averaged) plus ``STRETCH_WEIGHT`` times the mean
     distance over which that map moves the points: stretching counts, but less than what no affine map explains.
     (Among furniture and airplanes of known classes, .4 kept more nearest neighbours and groups within one class than
     0 or 1 did.)  Symmetric in its arguments; 0 for equal shapes.
     """
     both = []
     for source, target in ((a, b), (b, a)):
-        found = affine_align(source, target, starts=starts, n_points=n_points, max_iterations=max_iterations)
+        found = affine_align(
+            source, target, starts=COMPARED_STARTS, n_points=n_points, max_iterations=COMPARED_ITERATIONS
+        )
         sample = thinned(source, n_points)
         moved = float(np.linalg.norm(found(sample) - sample, axis=1).mean())
-        both.append(found.residual + stretch_weight * moved)
+        both.append(found.residual + STRETCH_WEIGHT * moved)
     return 0.5 * (both[0] + both[1])

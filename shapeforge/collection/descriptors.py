@@ -146,16 +146,16 @@ def average_geodesic_distance(
     return (mean - mean.min()) / max(mean.max(), 1e-300)
 
 
-def local_shape(points: Float[np.ndarray, "P 3"], radii: tuple[float, ...] = PCA_RADII) -> Float[np.ndarray, "P r2"]:
-    """Width/length and thickness/length of the neighbourhood at each radius: roots of the eigenvalue ratios.
+def local_shape(points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 6"]:
+    """Width/length and thickness/length of the neighbourhood at each of ``PCA_RADII``: roots of the eigenvalue ratios.
 
     Columns: both at the first radius, then both at the next.  A rod has (0, 0), a plate (1, 0), a ball (1, 1).
     """
     points = np.ascontiguousarray(points, np.float64)
     columns = []
-    for radius in radii:
+    for radius in PCA_RADII:
         # neighbourhoods grow with the square of the radius: every fourth point tells as much about twice the radius
-        thinned = np.ascontiguousarray(points[:: max(1, round((radius / radii[0]) ** 2 / 1.6))])
+        thinned = np.ascontiguousarray(points[:: max(1, round((radius / PCA_RADII[0]) ** 2 / 1.6))])
         six = kernels.local_covariances(points, thinned, radius)
         values = np.maximum(np.linalg.eigvalsh(six[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)), 0.0)
         columns.append(np.sqrt(values[:, 1::-1] / np.maximum(values[:, 2:], 1e-300)))

@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull, QhullError
 SAME_FRAME = 8.0  # degrees: frames nearer than this are one
 COPLANAR = 2.0  # degrees between faces of the hull that are one support
 SMALLEST_SUPPORT = 0.002  # of the hull's area: what is smaller carries nothing
+MOST_FRAMES, MOST_SUPPORTS = 2, 10  # that are told of a shape
 _ROUNDS = 25
 
 
@@ -66,9 +67,9 @@ def frame_angle(a: Float[np.ndarray, "3 3"], b: Float[np.ndarray, "3 3"]) -> flo
 
 
 def facing_frames(
-    normals: Float[np.ndarray, "n 3"], starts: Float[np.ndarray, "s 3 3"] | None = None, *, count: int = 2
+    normals: Float[np.ndarray, "n 3"], starts: Float[np.ndarray, "s 3 3"] | None = None
 ) -> list[tuple[Float[np.ndarray, "3 3"], float]]:
-    """The ``count`` best frames (rows are axes) along which the surface faces, each with the share of it that does.
+    """The two best frames (rows are axes) along which the surface faces, each with the share of it that does.
 
     From unit normals (n, 3) of points spread evenly over the area, of either sign.  Maximises the mean over the points
     of the sum over the axes of cos^8: what is nearly flat and square counts, what is round hardly does.  The maximum is
@@ -90,15 +91,15 @@ def facing_frames(
     for i in np.argsort(-share, kind="stable"):
         if all(frame_angle(frames[i], other) > SAME_FRAME for other, _ in found):
             found.append((frames[i], float(share[i])))
-        if len(found) == count:
+        if len(found) == MOST_FRAMES:
             break
     return found
 
 
-def supports(hull: ConvexHull | None, *, count: int = 10) -> list[tuple[Float[np.ndarray, " 3"], float]]:
+def supports(hull: ConvexHull | None) -> list[tuple[Float[np.ndarray, " 3"], float]]:
     """Ways to lie on level ground: unit vectors (3,) that point up then, with the share of the hull's area below.
 
-    Faces of the convex hull that are nearly coplanar count as one; largest first, at most ``count``.
+    Faces of the convex hull that are nearly coplanar count as one; largest first, at most ``MOST_SUPPORTS``.
     """
     if hull is None:
         return []
@@ -115,7 +116,7 @@ def supports(hull: ConvexHull | None, *, count: int = 10) -> list[tuple[Float[np
             free &= ~near
             outward = normals[near].T @ areas[near]
             found.append((-outward / np.linalg.norm(outward), float(areas[near].sum()) / total))
-    return sorted(found, key=lambda support: -support[1])[:count]
+    return sorted(found, key=lambda support: -support[1])[:MOST_SUPPORTS]
 
 
 def convex_hull(points: Float[np.ndarray, "n d"]) -> ConvexHull | None:

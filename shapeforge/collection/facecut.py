@@ -171,8 +171,8 @@ def face_graph(mesh: Mesh) -> FaceGraph:
     """Which faces are adjacent: by a common edge, of the same or of coincident corners, manifold or not; and, between
     components that share no edge but nearly touch (polygon soup, screws, cushions), by weak links to the nearest faces.
     """
-    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))) if len(mesh.vertices) else 0.0
-    if diagonal == 0 or len(mesh.triangles) == 0:
+    diagonal = surface_diagonal(mesh)
+    if diagonal == 0:
         return FaceGraph(np.zeros((0, 2), np.int64), np.zeros(0))
     pairs, border = edge_neighbours(mesh, diagonal)
     links, strength = _component_links(mesh, pairs, diagonal)
@@ -182,11 +182,25 @@ def face_graph(mesh: Mesh) -> FaceGraph:
     return FaceGraph(np.stack([code // mesh.n_faces, code % mesh.n_faces], axis=1), summed)
 
 
+def surface_diagonal(mesh: Mesh) -> float:
+    """Diagonal of the box of all triangles; 0 without any.  Vertices that no triangle uses may lie anywhere."""
+    return float(np.linalg.norm(np.ptp(mesh.vertices[_used(mesh)], axis=0))) if len(mesh.triangles) else 0.0
+
+
+def _used(mesh: Mesh) -> Bool[np.ndarray, " V"]:
+    """Which vertices (V,) triangles use."""
+    used = np.zeros(len(mesh.vertices), bool)
+    used[mesh.triangles] = True
+    return used
+
+
 def edge_neighbours(mesh: Mesh, diagonal: float) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of faces (E, 2) along every edge, and the weighted length of it."""
-    cells = np.rint((mesh.vertices - mesh.vertices.min(axis=0)) / (WELD * diagonal)).astype(np.int64)
+    """Pairs of faces (E, 2) along every edge, and the weighted length of it; ``diagonal`` is that of the surface."""
+    used = _used(mesh)
+    vertices = mesh.vertices[used]
+    cells = np.rint((vertices - vertices.min(axis=0)) / (WELD * diagonal)).astype(np.int64)
     _, corner = np.unique(cells, axis=0, return_inverse=True)
-    triangles = corner.reshape(-1)[mesh.triangles]
+    triangles = corner.reshape(-1)[(np.cumsum(used) - 1)[mesh.triangles]]
     ends = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     face = np.tile(mesh.face_of_triangle, 3)
     start = np.concatenate([mesh.vertices[mesh.triangles[:, c]] for c in (0, 1, 2)])

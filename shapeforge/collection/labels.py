@@ -49,13 +49,6 @@ class PartNames:
         return len(self.names)
 
 
-@dataclass(frozen=True, eq=False)
-class FaceLabels:
-    """Labels painted on one shape: part index (0..L-1) per face record, -1 where nothing is said."""
-
-    faces: Int[np.ndarray, " F"]
-
-
 def read_part_names(path: str | Path) -> PartNames:
     """Parts of a ``labels.json`` ({"id": "name"}), by rising id.  Raises ``LabelError``."""
     path = Path(path)

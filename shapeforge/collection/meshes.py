@@ -10,6 +10,7 @@ import os
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -122,11 +123,12 @@ def _read_triangles(path: Path, kind: str, data: bytes) -> Records:
     import trimesh
 
     try:
-        # the resolver looks beside the file only: nothing is ever fetched over a network
+        # buffers and textures are looked for beside the file only: nothing is ever fetched over a network
+        beside = trimesh.resolvers.FilePathResolver(str(path))
         try:
-            scene = trimesh.load_scene(path, file_type=kind, process=False)
+            scene = trimesh.load_scene(BytesIO(data), kind, beside, process=False)
         except Exception:  # a texture that is missing or damaged is no reason to refuse the mesh
-            scene = trimesh.load_scene(path, file_type=kind, process=False, skip_materials=True)
+            scene = trimesh.load_scene(BytesIO(data), kind, beside, process=False, skip_materials=True)
         vertices, triangles, total = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
         shades: list[np.ndarray | None] = []
         for node in scene.graph.nodes_geometry:

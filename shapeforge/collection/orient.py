@@ -96,19 +96,18 @@ def describe_turn(rotation: Float[np.ndarray, "3 3"]) -> str:
     return f"turned about the vertical by {turning_angle(rotation):.0f} degrees, to face as the others do"
 
 
-def poses(surface: Surface, *, file_axes: bool = True) -> list[Pose]:
+def poses(surface: Surface) -> list[Pose]:
     """Candidates for the orientation of a shape, most likely first: one for every direction that may be up.
 
-    ``file_axes``: the axes of the coordinates are probably those of the file, which mean something (``PRIOR``).
+    The axes of the coordinates are taken for those of the file, which mean something (``PRIOR``).
     """
     natural = _natural_axes(surface)
     ups = up_candidates(surface, _SIGNS[[axis == 1 or axis % 3 in natural for axis in range(6)]])
     score = log_likelihoods(up_features(surface, ups))
     names = [_axis_name(up.direction) for up in ups]
-    if file_axes:
-        known = [name != "" and "xyz".index(name[1]) in natural for name in names]
-        odd = [ODD_PRIOR if name == "+y" else 0.0 for name in names]
-        score = score + [PRIOR[name] if yes else other for name, yes, other in zip(names, known, odd, strict=True)]
+    known = [name != "" and "xyz".index(name[1]) in natural for name in names]
+    odd = [ODD_PRIOR if name == "+y" else 0.0 for name in names]
+    score = score + [PRIOR[name] if yes else other for name, yes, other in zip(names, known, odd, strict=True)]
     score -= np.logaddexp.reduce(score)
     found = [
         Pose(TURNS[name] if name else upright(up.direction, surface), float(value), name)

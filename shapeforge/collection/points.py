@@ -22,7 +22,8 @@ def sample_points(
     Density follows area.  Stratified candidates, three per point, are thinned by sample elimination (Yuksel 2015),
     which leaves no two points close: about half the sampling error of independent points.  Only points that face the
     same way crowd each other, so both sides of a thin plate get their share.  Normals are the triangles' own, as the
-    file winds them; ``outward_normals`` turns them.  The order is random: any prefix is a sample of the whole surface.
+    file winds them; ``shape_diameter`` turns them outward.  The order is random: any prefix is a sample of the whole
+    surface.
     """
     if n_points < 1:
         raise ValueError(f"n_points: wanted at least 1, got {n_points}")

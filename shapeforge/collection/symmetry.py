@@ -17,6 +17,7 @@ REFINED = 4  # best candidates that are refined
 STEEPEST = 0.25  # largest vertical component of the normal: about 14 degrees from vertical
 KEPT_SHARE = 0.8  # of the pairs, while refining: a fifth of the surface may have no counterpart
 ADVANTAGE = 0.8  # another plane must have an error this much smaller than the one across x: most families face z
+MOST_PLANES = 5  # that are told of a shape whose up is not known
 _N_REFLECTED, _N_AGAINST = 300, 2500
 _SPHERE = half_sphere(150)  # directions in space, about 12 degrees apart
 _FEW_REFLECTED, _FEW_AGAINST = 160, 320
@@ -154,8 +155,8 @@ class Reflections:
         return Mirror(normal, offset, error)
 
 
-def mirror_planes(reflections: Reflections, hints: Float[np.ndarray, "h 3"], *, count: int = 5) -> list[Mirror]:
-    """The ``count`` best mirror planes in any direction, best first, from directions all round and the ``hints``.
+def mirror_planes(reflections: Reflections, hints: Float[np.ndarray, "h 3"]) -> list[Mirror]:
+    """The ``MOST_PLANES`` best mirror planes in any direction, best first, from directions all round and the ``hints``.
 
     Planes start through the mean of the points; refining moves them.
     """
@@ -173,4 +174,4 @@ def mirror_planes(reflections: Reflections, hints: Float[np.ndarray, "h 3"], *, 
     for plane in sorted(found, key=lambda plane: plane.error):
         if all(abs(plane.normal @ other.normal) < _SAME for other in distinct):
             distinct.append(plane)
-    return distinct[:count]
+    return distinct[:MOST_PLANES]

@@ -97,9 +97,11 @@ class _Pieces:
 def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rng: np.random.Generator) -> Proposal:
     """Parts that the ``shapes`` (a sequence, lazy or not) share, told from nothing but their surfaces.
 
-    ``n_parts`` is the number of parts; None chooses one from 2 to 8 by the silhouette of a clustering of the patches.
-    More parts than are clearest by it are split off one by one, the most distinct first.  Parts are numbered from the
-    largest.  Raises ValueError for no shapes or for ``n_parts`` below 1.
+    ``n_parts`` is the number of parts; None chooses one from 2 to 8 by the silhouette of a clustering of the patches,
+    but no more than there are pieces.  More parts than are clearest are split off one by one, the most distinct first;
+    what cannot be split leaves the last parts empty.  Parts are numbered from the largest.
+
+    Raises ValueError for no shapes or for ``n_parts`` below 1.
     """
     if len(shapes) == 0:
         raise ValueError("shapes: wanted at least one, got none; was anything imported?")
@@ -114,10 +116,7 @@ def propose_parts(shapes: Any, groups: Groups, *, n_parts: int | None = None, rn
     with threadpool_limits(1):
         features = standardized(patches.views[0], patches.weight) * _WEIGHTS
         number = choose_number(features, patches.weight, rng=rng)
-        n_parts = number if n_parts is None else n_parts
-        first = min(number, n_parts)
-        of_patch = cluster_patches(features, patches.weight, first, rng=rng)[0]
-        part, energy = _parts_of_pieces(pieces, looks, patches, of_patch, first, n_parts, rng)
+        part, energy, n_parts = _parts_of_pieces(pieces, looks, patches, features, number, n_parts, rng)
     parts = [part[pieces.owner == t][of_point] for t, of_point in enumerate(pieces.of_point)]
     if len(shapes) > 1:
         parts = vote(
@@ -173,10 +172,12 @@ def _seen(
 
 
 def _parts_of_pieces(
-    pieces: _Pieces, looks: np.ndarray, patches: _Pieces, of_patch: np.ndarray, first: int, n_parts: int,
+    pieces: _Pieces, looks: np.ndarray, patches: _Pieces, features: np.ndarray, number: int, n_parts: int | None,
     rng: np.random.Generator,
-) -> tuple[np.ndarray, float]:  # fmt: skip
-    """Part (n,) of every piece, numbered by falling weight, and the relative energy (see ``Proposal``)."""
+) -> tuple[np.ndarray, float, int]:  # fmt: skip
+    """Part (n,) of every piece, numbered by falling weight, the relative energy (see ``Proposal``) and the number of
+    parts: ``n_parts``, else ``number``, which the ``features`` of the patches told, or one for each piece if these are
+    fewer."""
     owner, weight = pieces.owner, pieces.weight
     plain = [standardized(view, weight) for view in pieces.views]
     looks = standardized(looks, weight) * _LOOKS_WEIGHTS
@@ -186,7 +187,11 @@ def _parts_of_pieces(
     )
     n_shapes = int(owner.max()) + 1
     taught = np.isin(owner, np.unique(np.linspace(0, n_shapes - 1, min(n_shapes, TAUGHT)).round().astype(np.int64)))
-    first = min(first, len(np.unique(every[taught], axis=0)))
+    # Two boxes of six sides each have more kinds of patches than pieces that could be parts.
+    number = min(number, len(np.unique(every[taught], axis=0)))
+    n_parts = number if n_parts is None else n_parts
+    first = min(number, n_parts)
+    of_patch = cluster_patches(features, patches.weight, first, rng=rng)[0]
     others = [
         cluster_patches(plain[0] * _WEIGHTS, weight, first, rng=rng)[0],
         _from_patches(pieces, patches, of_patch, first),
@@ -194,7 +199,7 @@ def _parts_of_pieces(
     shape_of = np.unique(owner[taught], return_inverse=True)[1].reshape(-1)
     part = agreed_parts(
         [view[taught] for view in (*views, every)], shape_of, weight[taught], first, rng=rng,
-        others=[np.minimum(other[taught], first - 1) for other in others],
+        others=[other[taught] for other in others],
     )  # fmt: skip
     for _ in range(n_parts - first):
         part = split_most_distinct(apart[taught], shape_of, weight[taught], part, rng=rng)
@@ -211,7 +216,7 @@ def _parts_of_pieces(
     centres = np.stack([np.bincount(part, weight * column, n_parts) for column in every.T], axis=1)
     centres /= np.maximum(np.bincount(part, weight, n_parts), 1e-12)[:, None]
     whole = float(weight @ ((every - np.average(every, axis=0, weights=weight)) ** 2).sum(axis=1))
-    return part, float(weight @ ((every - centres[part]) ** 2).sum(axis=1)) / max(whole, 1e-12)
+    return part, float(weight @ ((every - centres[part]) ** 2).sum(axis=1)) / max(whole, 1e-12), n_parts
 
 
 def _from_patches(pieces: _Pieces, patches: _Pieces, of_patch: np.ndarray, n_parts: int) -> np.ndarray:

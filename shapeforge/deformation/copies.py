@@ -84,6 +84,8 @@ def find_copies(
     """
     template = templates[beliefs.template]
     alive = np.flatnonzero(beliefs.alive(template.label))
+    if not len(alive):  # others explain the shape, by parts that these templates lack
+        return ()
     nearest, gap = (one[:, 0] for one in nearest_points(beliefs.deformed[alive], shape.points))
     normals = mapped_normals(template, beliefs)[alive]
     now = _cost(gap, shape.normals, normals[nearest])

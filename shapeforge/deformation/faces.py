@@ -30,13 +30,13 @@ NORMAL_REACH = 0.03
 LEAST_PROBABILITY = 1e-3
 
 TEMPLATE_CANDIDATES = 15
-"""Template points that may correspond to a face, as many as to a sample."""
+"""Template points that may correspond to a face: the nearest."""
 
 TEMPLATE_SHARE = 0.4
 """What the templates' voice is worth on a face with very many samples; on one without samples it is all."""
 
 LEAST_VOICE = 0.05
-"""An exemplar whose word is worth less than this at a face is not asked there."""
+"""An explanation whose word is worth less than this at a face is not asked there."""
 
 BORDER = 60.0
 """Width of a border in thousandths of the root of the area (see ``cut_faces``)."""
@@ -44,7 +44,8 @@ BORDER = 60.0
 
 @dataclass(frozen=True, eq=False)
 class Explanations:
-    """What explains one shape: each exemplar's beliefs with their voices, the templates they deform, Σ1 (variances)."""
+    """What explains one shape: the beliefs by exemplars and by the family's own templates, with their voices; the
+    templates that they deform, Σ1 (variances)."""
 
     candidates: Sequence[Candidate]
     templates: Sequence[PartTemplates]
@@ -99,7 +100,7 @@ def _of_samples(shape: Shape, segmentation: np.ndarray) -> tuple[np.ndarray, np.
 
 def template_probabilities(shape: Shape, explained: Explanations) -> Float[np.ndarray, "F L"]:
     """Label probabilities of every face (n_faces, L) by φ1 and the normals alone: the correspondence update for its
-    centre, summed over the template points of each part, averaged over the exemplars by their voices there.
+    centre, summed over the template points of each part, averaged over the explanations by their voices there.
     """
     centres, normals = shape.mesh.face_centres, shape.mesh.face_normals
     parts = believed_parts(explained.candidates)
@@ -110,6 +111,8 @@ def template_probabilities(shape: Shape, explained: Explanations) -> Float[np.nd
         beliefs = candidate.beliefs
         template = explained.templates[beliefs.template]
         alive = np.flatnonzero(beliefs.alive(template.label))
+        if not len(alive):
+            continue
         near = alive[nearest_points(beliefs.deformed[alive], centres[heard], TEMPLATE_CANDIDATES)[0]]
         apart = (centres[heard, None] - beliefs.deformed[near]) ** 2 @ (1.0 / explained.unary)
         turned = np.abs(np.einsum("fki,fi->fk", mapped_normals(template, beliefs)[near], normals[heard]))
@@ -128,7 +131,6 @@ def label_faces(
     painted: Int[np.ndarray, " F"] | None = None,
     *,
     explained: Explanations | None = None,
-    weight: float = BORDER,
 ) -> tuple[Int[np.ndarray, " F"], Float[np.ndarray, "F L"]]:
     """Part label (n_faces,) of every face by a graph cut over the faces, and the probabilities (n_faces, L) it used.
 
@@ -140,7 +142,7 @@ def label_faces(
         known = np.flatnonzero(np.asarray(painted) >= 0)
         probabilities[known] = np.eye(probabilities.shape[1])[painted[known]]
     cost = -np.log(np.maximum(probabilities, LEAST_PROBABILITY))
-    labels = cut_faces(shape.mesh, cost, weight=weight)
+    labels = cut_faces(shape.mesh, cost, weight=BORDER)
     if painted is not None:
         labels[known] = painted[known]
     return labels.astype(np.int32), probabilities.astype(np.float32)

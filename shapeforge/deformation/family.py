@@ -15,7 +15,7 @@ from itertools import repeat
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from shapeforge.collection.align import Alignment, affine_align
+from shapeforge.collection.align import FEWEST, Alignment, affine_align
 from shapeforge.collection.parallel import in_order, shared
 from shapeforge.collection.shape import Shape
 from shapeforge.deformation.beliefs import Beliefs
@@ -124,10 +124,11 @@ def family_starts(
 
 
 def _whole_start(shape: Shape, problem: Problem, beliefs: Beliefs, hierarchy: Hierarchy, index: int) -> Beliefs:
-    """All parts of the top-level templates, under the affine map of what there is of them."""
+    """All parts of the top-level templates, under the affine map of what there is of them, if that is enough."""
     top = hierarchy.top
     there = _believed_points(beliefs, hierarchy)
-    found = affine_align(top.points[there], problem.points @ beliefs.pose.T)  # as the family lies
+    known = top.points[there] if there.sum() >= FEWEST else top.points
+    found = affine_align(known, problem.points @ beliefs.pose.T)  # as the family lies
     alignment = _turned_back(found, beliefs.pose)
     return replace(affine_beliefs(shape, problem, top, index, alignment), pose=beliefs.pose)
 

@@ -64,8 +64,8 @@ class FitState:
     """Progress report and result of a fit.  Lengths in diagonals, energy in nats per surface point.
 
     ``candidates[t]`` holds each exemplar tried on shape t, ``beliefs[t]`` what follows from them.  ``family_from`` is
-    the round with which the exemplars were done (-1: they are not); from the next one on ``family`` links them and the
-    last of the ``templates`` are the family's own.
+    the round with which the exemplars were done (-1: they are not); from the next one on ``family`` links them, the
+    last of the ``templates`` are the family's own, and these are among the candidates.
     """
 
     round: int

@@ -172,7 +172,7 @@ def deformed_family(
 ) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, " K"], Bool[np.ndarray, " K"]]:
     """The top-level template points on a shape: places (K, 3), variance (K,) per axis, existence (K,).
 
-    From the templates that explain the shape best; parts that they lack from those that lent them.
+    From the leading templates on the shape (see ``exemplars.leading``); parts that they lack from those that lent them.
     """
     part = hierarchy.top.label
     link = hierarchy.links[beliefs.template]

@@ -17,7 +17,7 @@ from shapeforge.collection.align import Alignment, affine_align, thinned
 from shapeforge.collection.points import nearest_points
 from shapeforge.deformation import _kernels
 from shapeforge.deformation.exemplars import misfit_of
-from shapeforge.deformation.templates import PartTemplates
+from shapeforge.deformation.templates import FEWEST_LABELLED, PartTemplates
 
 GLANCED, STEPS, STARTS = 150, 8, ("box", "spread")
 """Points of either side, steps and starts of the affine map by which sets of parts are screened."""
@@ -41,7 +41,7 @@ LEFT_OUT = -3.0
 indeed not there."""
 
 LEAST_SHARE = 0.1
-"""Share of the template's points that must be left."""
+"""Share of the template's points that must be left; and as many points as a template needs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,8 @@ def partial_starts(
 def _screened(points, normals, template: PartTemplates, whole: Alignment, kept) -> list[np.ndarray]:
     """Sets of parts that explain the shape clearly better at a glance than larger ones: the best few, best first."""
     few = thinned(points, GLANCED), thinned(normals, GLANCED)
-    share = np.bincount(template.label, minlength=template.n_parts) / template.n_points
+    size = np.bincount(template.label, minlength=template.n_parts)
+    share = size / template.n_points
 
     def glance(active: np.ndarray, alignment: Alignment | None = None) -> float:
         rows = _evenly(template, active, GLANCED)
@@ -108,7 +109,7 @@ def _screened(points, normals, template: PartTemplates, whole: Alignment, kept) 
         for active in beam:
             for part in np.flatnonzero(active & ~kept):
                 left = active & (np.arange(len(active)) != part)
-                if share[left].sum() >= LEAST_SHARE:
+                if share[left].sum() >= LEAST_SHARE and size[left].sum() >= FEWEST_LABELLED:
                     smaller[left.tobytes()] = left
         tried = sorted((glance(left), key) for key, left in smaller.items() if key not in costs)
         costs |= {key: cost for cost, key in tried if cost < least - GAIN}

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from shapeforge.collection.align import LARGEST_STRETCH, SMALLEST_STRETCH, Alignment, affine_align, thinned
-from shapeforge.collection.facecut import edge_neighbours
+from shapeforge.collection.facecut import edge_neighbours, surface_diagonal
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.shape import Mesh, Shape
 from shapeforge.deformation.convex_pieces import CONVEX, across, merged_patches, see_each_other
@@ -64,8 +64,8 @@ def point_components(shape: Shape) -> Int[np.ndarray, " P"]:
 
 def face_components(mesh: Mesh) -> Int[np.ndarray, " F"]:
     """Connected component of every face record (n_faces,): faces that share an edge, also of coincident corners."""
-    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))) if len(mesh.vertices) else 0.0
-    if diagonal == 0 or len(mesh.triangles) == 0:
+    diagonal = surface_diagonal(mesh)
+    if diagonal == 0:
         return np.zeros(mesh.n_faces, np.int32)
     pairs, _ = edge_neighbours(mesh, diagonal)
     graph = coo_matrix((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(mesh.n_faces, mesh.n_faces))

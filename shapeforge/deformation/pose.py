@@ -39,6 +39,7 @@ TRIED = 4  # turned starts whose alignment is refined
 BETTER = 0.85  # of the residual as the shape lies that a turned start must leave
 _N_POINTS, _N_SCREENED, _N_ALIGNED = 500, 160, 400
 _N_ODD = 9
+_TURNED = AXIS_ROTATIONS[1:]  # all but the identity
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +56,13 @@ class Turns:
     quarter: Int[np.ndarray, " c"]
 
 
-def candidate_turns(surface: Surface, *, file_axes: bool = True) -> Turns:
+def candidate_turns(surface: Surface) -> Turns:
     """The rotations worth trying on a shape: four for each direction that may be up, scored by the shape alone.
 
-    ``file_axes`` as in ``poses``.  Of the four, those score higher that mirror the shape across x, make it wide rather
+    Of the four, those score higher that mirror the shape across x, make it wide rather
     than deep and lift its back (-z): a convention that is mostly right, and that the family may overrule.
     """
-    found = poses(surface, file_axes=file_axes)
+    found = poses(surface)
     found = [pose for pose in found[:UPS] if pose.score > found[0].score - WORTH_TRYING]
     rotations = np.array([turn @ pose.rotation for pose in found for turn in QUARTERS])
     features = _described(surface, rotations)
@@ -147,14 +148,12 @@ def posed_starts(
     points: Float[np.ndarray, "P 3"],
     templates: Sequence[Float[np.ndarray, "_ 3"]],
     alignments: Sequence[Alignment],
-    *,
-    rotations: Float[np.ndarray, "r 3 3"] = AXIS_ROTATIONS[1:],
 ) -> list[PosedStart]:
     """Turned starts that explain a shape better than any start does as it lies, best first; mostly none.
 
     ``templates`` are the exemplars' points (K, 3), ``alignments`` their maps onto the shape's ``points`` (P, 3) as it
-    lies.  All ``rotations`` are screened on few points without refining; the most promising are aligned properly, if
-    they look better than the shape as it lies does at so quick a glance.
+    lies.  All other rotations that take axes to axes are screened on few points without refining; the most promising
+    are aligned properly, if they look better than the shape as it lies does at so quick a glance.
     """
     least = min(alignment.residual for alignment in alignments)
     few = thinned(points, _N_SCREENED)
@@ -169,13 +168,13 @@ def posed_starts(
     lying = min(glance(np.eye(3)))
     screened = sorted(
         (residual, r, g)
-        for r, rotation in enumerate(rotations)
+        for r, rotation in enumerate(_TURNED)
         for g, residual in enumerate(glance(rotation))
         if residual < lying
     )
     found = []
     for _, r, g in screened[:TRIED]:
-        rotation = rotations[r]
+        rotation = _TURNED[r]
         there = affine_align(templates[g], points @ rotation.T, n_points=_N_ALIGNED)
         if there.residual < BETTER * least:
             back = Alignment(rotation.T @ there.matrix, rotation.T @ there.offset, there.residual, there.start)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from shapeforge.collection.align import Alignment, affine_align
+from shapeforge.collection.align import FEWEST, Alignment, affine_align
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.factors import FLOORS, initial_covariances
 from shapeforge.deformation.templates import PartTemplates, pair_graph
@@ -57,11 +57,15 @@ class Registrations:
         return self._parts[number, part]
 
     def whole(self, source: int, target: int) -> Alignment:
-        """The affine map of what ``source`` and ``target`` both have of their parts."""
+        """The affine map of what ``source`` and ``target`` both have of their parts; none where that is next to
+        nothing: exemplars lie alike."""
         if (source, target) not in self._wholes:
             shared = self.has[source] & self.has[target]
-            a, b = self.templates[source], self.templates[target]
-            self._wholes[source, target] = affine_align(a.points[shared[a.label]], b.points[shared[b.label]])
+            mine, theirs = (one.points[shared[one.label]] for one in (self.templates[source], self.templates[target]))
+            enough = min(len(mine), len(theirs)) >= FEWEST
+            self._wholes[source, target] = (
+                affine_align(mine, theirs) if enough else Alignment(np.eye(3), np.zeros(3), np.nan)
+            )
         return self._wholes[source, target]
 
     def of_part(self, source: int, target: int, part: int) -> Float[np.ndarray, "k 3"]:

@@ -18,6 +18,9 @@ from shapeforge.deformation.pieces import face_components
 
 NEIGHBOURS = 20
 
+FEWEST_LABELLED = 12
+"""Labelled points of templates at least: by fewer they cannot be laid onto a shape."""
+
 FEWEST_POINTS, SMALLEST_SHARE = 12, 0.005
 """Template points of a component that is asked about by itself, at least; and as a share of all of them.  What is
 smaller goes with the component of its part that it is nearest to, a pylon with its engine."""
@@ -157,13 +160,20 @@ def template_from_points(
     """Templates from labelled points: neighbourhoods inside one part only (across parts they tear the borders).
 
     ``surface`` is the connected surface of the mesh that each point is on, if known: legs that rails tie together are
-    components each.  Points with label -1 are left out.  Raises ``ValueError`` when no point has a label.
+    components each.  Points with label -1 are left out.
+
+    Raises ValueError when fewer than 12 points have a label.
     """
     keep = np.flatnonzero((label >= 0) & (label < len(part_names)))
     if not len(keep):
         raise ValueError(
             f"label: wanted at least one labelled point for the templates of {source or 'the exemplar'}, got none; "
             "paint the exemplar, or propose parts with `shapeforge cosegment`"
+        )
+    if len(keep) < FEWEST_LABELLED:
+        raise ValueError(
+            f"label: wanted at least {FEWEST_LABELLED} labelled points for the templates of "
+            f"{source or 'the exemplar'}, got {len(keep)}; paint more of it"
         )
     keep = keep[np.argsort(label[keep], kind="stable")]
     points, normals, descriptors, label = points[keep], normals[keep], descriptors[keep], label[keep]

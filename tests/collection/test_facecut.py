@@ -7,7 +7,15 @@ import itertools
 import numpy as np
 import pytest
 
-from shapeforge.collection.facecut import cut_faces, expand, face_graph, minimize_potts, minimize_some, potts_energy
+from shapeforge.collection.facecut import (
+    cut_faces,
+    expand,
+    face_graph,
+    minimize_potts,
+    minimize_some,
+    potts_energy,
+    surface_diagonal,
+)
 from shapeforge.collection.shape import Mesh
 
 
@@ -45,6 +53,19 @@ def best_by_enumeration(unary, pairs, pairwise) -> int:
 def test_two_labels_are_exact(seed):
     problem = random_problem(np.random.default_rng(seed), 9, 2)
     assert potts_energy(minimize_potts(*problem), *problem) == best_by_enumeration(*problem)
+
+
+def test_vertices_that_no_face_uses_change_nothing():
+    """However far away they lie: what is welded, and how near components are linked, goes by the surface."""
+    sheets = grid(4, soup=True)
+    apart = np.concatenate([sheets.vertices, sheets.vertices + [0.0, 0.1, 0.0]])
+    mesh = Mesh(apart, np.concatenate([sheets.triangles, sheets.triangles + 64]), np.repeat(np.arange(32), 2), 32)
+    stray = np.concatenate([[[-1e4, 0.0, 0.0]], apart, [[1e4, 1e4, 1e4], [1e300, 0.0, 0.0]]])
+    graph, same = face_graph(mesh), face_graph(Mesh(stray, mesh.triangles + 1, mesh.face_of_triangle, 32))
+    assert len(graph.pairs) > 2 * 24
+    np.testing.assert_array_equal(same.pairs, graph.pairs)
+    np.testing.assert_array_equal(same.border, graph.border)
+    assert surface_diagonal(mesh) == pytest.approx(np.sqrt(32.01))
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -341,6 +341,20 @@ def test_stl_keeps_the_order_of_its_triangles_and_joins_equal_corners(tmp_path):
         np.testing.assert_allclose(mesh.vertices[mesh.triangles], box.triangles, atol=1e-6)
 
 
+@pytest.mark.parametrize("ending", ["stl", "glb"])
+def test_a_file_is_read_once(tmp_path, monkeypatch, ending):
+    path = written(tmp_path, f"a.{ending}", trimesh.creation.box().export(file_type=ending))
+    first = Path.read_bytes
+
+    def read_and_gone(self: Path) -> bytes:
+        content = first(self)
+        self.unlink()
+        return content
+
+    monkeypatch.setattr(Path, "read_bytes", read_and_gone)
+    assert read_mesh(path).n_faces == 12
+
+
 @pytest.mark.parametrize("ending", ["glb", "gltf"])
 def test_the_nodes_of_a_scene_stand_where_the_scene_puts_them(tmp_path, ending):
     scene = trimesh.Scene()

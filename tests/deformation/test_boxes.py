@@ -29,7 +29,7 @@ from shapeforge.deformation.boxes import (
 )
 from shapeforge.deformation.pieces import common_frame
 from shapeforge.stages_collection import proposed_text
-from tests.deformation.test_pieces import mesh_of
+from tests.deformation.test_pieces import box, mesh_of
 
 
 def chair(seed: int) -> tuple[Shape, np.ndarray]:
@@ -123,6 +123,21 @@ def test_single_shape_many_parts_and_ungrouped_shapes(chairs):
     groups = Groups(("Group 1",), np.array([0, -1, 0, 0, 0, 0]), np.array([0]), np.zeros((6, 2)))
     proposal = propose_parts(shapes, groups, n_parts=3, rng=np.random.default_rng(0))
     assert matched(proposal.segmentation, truths) > 0.99
+
+
+@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize("asked", [None, 6])
+def test_shapes_of_fewer_pieces_than_kinds_of_patches_get_parts(number: int, asked: int | None):
+    """A box on a box: the sides of either are patches apart, but there are two pieces to a shape."""
+    rng = np.random.default_rng(0)
+    stack = mesh_of(box((1, 0.5, 0.8), (0, 0.25, 0)), box((0.4, 0.6, 0.4), (0, 0.81, 0)))
+    shapes = [prepare_shape(f"stack {t}", stack, n_points=600, up="y", rng=rng) for t in range(number)]
+    proposal = propose_parts(shapes, one_group(number), n_parts=asked, rng=rng)
+    assert len(proposal.part_names) == (asked or 2 * number)
+    for shape, segmentation in zip(shapes, proposal.segmentation, strict=True):
+        part = segmentation.argmax(axis=1)
+        lower, upper = (set(part[half].tolist()) for half in (shape.face_of_point < 12, shape.face_of_point >= 12))
+        assert lower and upper and not lower & upper
 
 
 def test_common_frame_goes_through_the_groups_exemplar(chairs):

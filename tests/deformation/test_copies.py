@@ -15,7 +15,7 @@ from shapeforge.deformation.apply import fit_candidates
 from shapeforge.deformation.copies import find_copies
 from shapeforge.deformation.exemplars import AS_GOOD, as_good, blend, weighted, with_copies
 from shapeforge.deformation.existence import without
-from shapeforge.deformation.faces import Explanations, explanations, label_faces
+from shapeforge.deformation.faces import Explanations, explanations, label_faces, template_probabilities
 from shapeforge.deformation.fit import fit_templates
 from shapeforge.deformation.templates import template_from_exemplar
 from shapeforge.store_arrays import read_record, write_record
@@ -174,6 +174,22 @@ def test_exemplars_that_do_not_explain_a_shape_are_not_compared(two_and_four):
         assert as_good(candidates) == compared
         found = with_copies(shapes[1], templates, candidates)[0].beliefs.copies
         assert bool(len(found)) == bool(compared)
+
+
+def test_leading_templates_without_any_part_have_no_copies_and_say_nothing_of_faces(two_and_four):
+    """The family's have engines only, which the exemplar, that explains the shape better, does not believe in."""
+    (_, made), state, shapes = two_and_four
+    engine = np.arange(len(made[0].part_names)) == made[0].part_names.index("engine")
+    templates, (best, led) = with_family(state, 1, behind=-2 * AS_GOOD)
+    doubt = np.where(engine, -20.0, np.nan)
+    best = replace(best, beliefs=replace(best.beliefs, active=best.beliefs.active & ~engine, misfit=doubt))
+    led = replace(led, beliefs=replace(led.beliefs, active=engine))
+    assert blend([best, led]).template == 1 and not blend([best, led]).active.any()
+    assert with_copies(shapes[1], templates, (best, led)) == (best, led)
+    empty = replace(led, beliefs=replace(led.beliefs, spare=np.ones(templates[1].n_points, bool)))
+    spoken = template_probabilities(shapes[1], Explanations((best, empty), templates, state.covariances.unary))
+    alone = template_probabilities(shapes[1], Explanations((best,), templates, state.covariances.unary))
+    np.testing.assert_allclose(spoken, alone, atol=1e-6)
 
 
 def test_a_piece_that_its_own_part_has_in_some_exemplar_is_no_copy(two_and_four):

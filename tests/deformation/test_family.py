@@ -10,6 +10,7 @@ import pytest
 from shapeforge.collection.families import generate
 from shapeforge.collection.groups import Groups
 from shapeforge.collection.iterate import last
+from shapeforge.collection.points import nearest_points
 from shapeforge.deformation import family
 from shapeforge.deformation.exemplars import (
     BROUGHT_ODDS,
@@ -186,6 +187,24 @@ def test_the_best_is_doubted_by_others_where_nobody_asked_it(family_fit):
     ):  # fmt: skip
         arm, found = two_opinions(family_fit, True, (own, others), weight)
         assert believed_parts(found)[arm] == believed
+
+
+def test_a_shape_that_is_believed_to_have_next_to_nothing_starts_with_all(family_fit):
+    names, state = family_fit
+    hierarchy, exemplar = state.family, next(one for one in state.candidates[1] if not one.family)
+    links = list(hierarchy.links)
+    of_exemplar = links[exemplar.beliefs.template]
+    known = np.flatnonzero(of_exemplar.exists & exemplar.beliefs.active[hierarchy.top.label])
+    links[exemplar.beliefs.template] = replace(
+        of_exemplar, exists=np.isin(np.arange(len(of_exemplar.exists)), known[:3])
+    )
+    made = generate("chairs", 2, seed=11, broken=0.0, classes=("side",))
+    shape = prepared(made, 700)[1]
+    few = replace(hierarchy, links=tuple(links))
+    started = family.family_starts(shape, None, state.templates[:-1], (replace(exemplar, weight=1.0),), few)
+    assert started[0].beliefs.active.sum() > 1
+    gaps = nearest_points(started[0].beliefs.deformed, shape.points)[1]
+    assert gaps.mean() < 0.05
 
 
 def test_the_family_starts_with_what_was_doubted_still_in_doubt(family_fit):

@@ -212,6 +212,16 @@ def test_an_unpainted_family_is_refused_with_the_remedy(family):
         next(fit_templates(shapes, groups, {}, names, rng=np.random.default_rng(0)))
 
 
+def test_an_exemplar_that_is_hardly_painted_is_named_with_the_remedy(family):
+    shapes, groups, truth, names = family
+    hardly = np.full_like(truth[5], -1)
+    counts = np.cumsum(np.bincount(shapes[5].face_of_point, minlength=len(hardly)))
+    hardly[counts <= 3] = truth[5][counts <= 3]
+    assert (hardly[shapes[5].face_of_point] >= 0).sum() in (1, 2, 3)
+    with pytest.raises(ValueError, match=f"at least 12 .* {shapes[5].name}, got [123]; paint more of it"):
+        next(fit_templates(shapes, groups, {0: truth[0], 5: hardly}, names, rng=np.random.default_rng(0)))
+
+
 def test_faces_follow_the_points_and_painted_faces_stay(family, states):
     shapes, _, truth, _ = family
     t = 2

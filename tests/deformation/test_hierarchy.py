@@ -76,6 +76,18 @@ def test_templates_that_explain_many_shapes_need_no_link():
         assert (link.weight[:, 0] == 1).all() and link.exists.all()
 
 
+def test_templates_that_share_next_to_nothing_are_linked_as_they_lie():
+    whole = chair(back=0.8, leg=0.5)
+    label = np.where(whole.label == PARTS.index("back"), PARTS.index("arm"), -1)
+    label[np.flatnonzero(whole.label == PARTS.index("seat"))[:3]] = PARTS.index("seat")
+    other = template_from_points(whole.points, whole.normals, whole.descriptors, label, PARTS)
+    hierarchy = link_templates([whole, other], [1, 1])
+    assert hierarchy.top.has_part().all()
+    link, seat = hierarchy.links[1], hierarchy.top.label == PARTS.index("seat")
+    assert link.exists[seat].all()
+    np.testing.assert_allclose(hierarchy.top.points[hierarchy.top.label == PARTS.index("arm")], other.points[3:])
+
+
 @pytest.fixture
 def explained_twice():
     """100 points, the last 20 an arm that only the second exemplar's template knows and that it explains better."""

@@ -10,7 +10,7 @@ from shapeforge.collection.families import generate
 from shapeforge.collection.groups import Groups
 from shapeforge.deformation.fit import fit_templates
 from shapeforge.deformation.partial import partial_starts
-from shapeforge.deformation.templates import template_from_exemplar
+from shapeforge.deformation.templates import template_from_exemplar, template_from_points
 from tests.generated import prepared
 
 NOTHING, EVEN = np.zeros(6, bool), np.full(6, 0.5)
@@ -77,6 +77,20 @@ def test_a_part_that_is_usual_is_not_left_out_for_a_nat():
 def test_painted_parts_stay(family):
     names = family[0][0].part_names
     assert all("back" in parts for parts in found_on(family, 4, kept=np.array(names) == "back")[1])
+
+
+def test_what_is_left_of_a_template_is_enough_to_lay_it_onto_a_shape(family):
+    """Three points of the seat are a sixth of a template that is hardly painted, but no start by themselves."""
+    made, shapes, truth = family
+    seat, back = (made[0].part_names.index(part) for part in ("seat", "back"))
+    label, few = truth[0][shapes[0].face_of_point], np.full(1200, -1)
+    for part, count in ((seat, 3), (back, 15)):
+        few[np.flatnonzero(label == part)[:count]] = part
+    described = shapes[0].points, shapes[0].normals, shapes[0].descriptors
+    template = template_from_points(*described, few, made[0].part_names)
+    alignment = affine_align(template.points, shapes[4].points)
+    starts = partial_starts(shapes[4].points, shapes[4].normals, [template], [alignment], NOTHING, EVEN)
+    assert all(start.active[back] for start in starts)
 
 
 def test_the_fit_labels_stools_by_the_parts_that_they_have(family):

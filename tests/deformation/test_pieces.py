@@ -35,6 +35,12 @@ def test_components_of_faces_follow_the_edges():
     assert len(set(found[:12].tolist())) == 1 and len(set(found[12:].tolist())) == 1 and found[0] != found[12]
 
 
+def test_components_stay_two_beside_vertices_that_no_face_uses():
+    boxes = mesh_of(box((1, 1, 1), (0, 0, 0)), box((1, 1, 1), (3, 0, 0)))
+    stray = Mesh(np.concatenate([boxes.vertices, [[1e6, 0, 0]]]), boxes.triangles, boxes.face_of_triangle, 24)
+    np.testing.assert_array_equal(face_components(stray), face_components(boxes))
+
+
 def test_a_board_is_one_piece_and_a_floor_to_top_post_is_not():
     seat, post = box((1, 0.1, 1), (0, 0.5, 0)), box((0.2, 1.4, 0.2), (0, 0.6, -0.4))
     shape = shape_of(seat, post)
