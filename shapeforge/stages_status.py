@@ -263,7 +263,8 @@ def _status(project: Project, stage: str, before: Mapping[str, Status]) -> Statu
     lost = lost_results(project, stage, record)
     if lost:
         return Status("stale", lost)
-    used = (*needs, "cosegment") if stage == "fit" and not project.labelled else needs
+    proposed = stage == "fit" and (not project.labelled or starts_from_proposal(project))
+    used = (*needs, "cosegment") if proposed else needs
     for name in used:
         if before[name].state in ("stale", "partial") and name != "import":
             return Status("stale", f"{name} is {before[name].state}: {before[name].reason}")
@@ -329,7 +330,7 @@ def next_step(project: Project) -> str:
     required = ("import", "group", "label", "fit", "learn", "synthesize")
     for stage in required:
         state = states[stage].state
-        if stage == "label" and not project.labelled and states["cosegment"].state == "done":
+        if stage == "label" and starts_from_proposal(project) and states["cosegment"].state == "done":
             continue
         if state != "done" and not (stage == "import" and state == "stale"):
             return remedy(project, stage)

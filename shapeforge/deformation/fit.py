@@ -138,10 +138,16 @@ def fit_templates(
     that an earlier call yielded; one whose fit is at its end is worked on further if ``rounds`` says so.  Yields the
     affine start and then one state a round; ``within`` rounds also a ``Within`` after every shape.
 
-    Raises ValueError when no exemplar has labels, FitDiverged (with the last good state) on non-finite numbers.
+    Raises ValueError when no exemplar has labels or ``seeds`` are of other shapes, FitDiverged (with the last good
+    state) on non-finite numbers.
     """
     del rng  # the fit itself is deterministic; the argument is part of every algorithm's face
     family_rounds = min(family.ROUNDS, rounds) if family_rounds is None else family_rounds
+    if seeds is not None and len(seeds) != len(shapes):
+        raise ValueError(
+            f"seeds: wanted label probabilities of each of the {len(shapes)} shapes, got {len(seeds)}; the parts were "
+            "proposed for others: propose them again"
+        )
     each_shape, painted = kept(executor, shapes), [labels.get(t) for t in range(len(shapes))]
     if resume is None:
         templates = tuple(exemplar_templates(shapes, groups, labels, part_names, seeds))
