@@ -14,6 +14,7 @@ from shapeforge.collection.iterate import last
 from shapeforge.stages import StageError, next_step, run, status
 from shapeforge.stages_collection import read_proposal
 from shapeforge.stages_model import starting_groups, starting_parts
+from shapeforge.stages_validation import validate
 from shapeforge.store import Project
 
 POINTS, COUNT = 400, 6
@@ -130,3 +131,12 @@ def test_a_stopped_proposal_leaves_paint_its_parts(project: Project) -> None:
     assert status(project)["cosegment"].state == "partial" and starting_parts(project)[2] is not None
     last(run(project, "fit", rounds=2, jobs=1))
     assert status(project)["cosegment"].state == "done"
+
+
+def test_a_corrected_family_is_compared_with_truth_by_the_parts_it_shares_most_with(project: Project, family: Path):
+    name = no_exemplar(project)
+    stroke(project, name)
+    figures = last(validate(project, labels=family, jobs=1)).state
+    found = figures["segmentation"]
+    assert set(figures["proposed_parts_are"]) == {"part 1", "part 2", "part 3"} and figures["left_out"] == [name]
+    assert found["area"] > 0.4 and found["affine_transfer"]["area"] > 0.3
