@@ -90,7 +90,9 @@ def label(task: Task) -> Iterator[Progress]:
     except LabelError as error:
         raise StageError(str(error)) from error
     kept = any(not _can_be_read(project, folder, name, wanted) for name in project.labelled)
-    if project.part_names is not None and not (folder / LABELS_FILE).is_file():  # known ids keep their names
+    # known ids keep their names, but for those of proposed parts that no paint is left of: these only number the parts
+    names_stay = kept or (bool(project.labelled) and not starts_from_proposal(project))
+    if project.part_names is not None and names_stay and not (folder / LABELS_FILE).is_file():
         known = dict(zip(project.part_names.ids, project.part_names.names, strict=True))
         given = PartNames(given.ids, tuple(map(known.get, given.ids, given.names)))
     given = replace(given, colours=_chosen_colours(project))
@@ -177,17 +179,21 @@ def _wanted(project: Project, only: Any) -> tuple[list[str], bool]:
 
 
 def merged_part_names(present: PartNames | None, given: PartNames) -> PartNames:
-    """Parts known already keep their index, new ids come after; a known id takes the name given now."""
-    if present is None:
-        return given
-    names = dict(zip(present.ids, present.names, strict=True))
+    """Parts known already keep their index, new ids come after; a known id takes the name given now.
+
+    Raises StageError where two ids would have one name.
+    """
+    names = {} if present is None else dict(zip(present.ids, present.names, strict=True))
     names |= dict(zip(given.ids, given.names, strict=True))
     twice = next((name for name in names.values() if list(names.values()).count(name) > 1), None)
     if twice is not None:
         which = " and ".join(str(identity) for identity, name in names.items() if name == twice)
+        wrong = f"labels.json: {twice!r} would be the name of the ids {which}"
+        if present is None:
+            raise StageError(f"{wrong}. Give each id a name of its own in a {LABELS_FILE} beside the .seg files.")
         raise StageError(
-            f"labels.json: {twice!r} would be the name of the ids {which}, as other shapes of the project have labels "
-            "by other ids. Use the same ids for all shapes, or label all of them again into a new project."
+            f"{wrong}, as other shapes of the project have labels by other ids. Use the same ids for all shapes, or "
+            "label all of them again into a new project."
         )
     return PartNames(tuple(names), tuple(names.values()), given.colours)
 

@@ -233,6 +233,8 @@ def test_part_names_keep_their_index() -> None:
     first, second = PartNames((1, 2), ("back", "seat")), PartNames((2, 5), ("Seat", "arm"))
     assert merged_part_names(None, second) == second
     assert merged_part_names(first, second) == PartNames((1, 2, 5), ("back", "Seat", "arm"))
+    with pytest.raises(StageError, match="'arm' would be the name of the ids 2 and 5"):
+        merged_part_names(None, PartNames((2, 5), ("arm", "arm")))
 
 
 # -- resuming --------------------------------------------------------------------------------------------------------

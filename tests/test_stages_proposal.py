@@ -140,3 +140,17 @@ def test_a_corrected_family_is_compared_with_truth_by_the_parts_it_shares_most_w
     found = figures["segmentation"]
     assert set(figures["proposed_parts_are"]) == {"part 1", "part 2", "part 3"} and figures["left_out"] == [name]
     assert found["area"] > 0.4 and found["affine_transfer"]["area"] > 0.3
+
+
+def test_labels_from_files_do_not_take_the_names_of_proposed_parts(project: Project, family: Path, tmp_path: Path):
+    for name in project.names:
+        faces = np.loadtxt(family / f"{name}.seg", dtype=int)
+        (tmp_path / f"{name}.seg").write_text("\n".join(str(1 + part % 4) for part in faces))
+    stroke(project, no_exemplar(project))  # no paint by the proposed parts is left when files are there for all shapes
+    last(run(project, "label", labels=tmp_path))
+    names = project.part_names
+    assert list(zip(names.ids, names.names, strict=True)) == [(part, f"part {part}") for part in (1, 2, 3, 4)]
+    project.set_part_names(replace(names, names=("leg", *names.names[1:])))
+    last(run(project, "label", labels=tmp_path))
+    assert project.part_names.names[0] == "leg", "a name given to a painted part stays"
+    assert starting_parts(project)[2] is None
