@@ -210,8 +210,9 @@ def cosegment(task: Task) -> Iterator[Progress]:
     """Propose parts for every shape without labels: label probabilities per point that the fit starts from.
 
     ``edits`` put them right afterwards (see ``proposed_edits``); parts are not sought again for that.  The exemplar of
-    a group is then one of its shapes with the most parts, unless exemplars were chosen by hand.  Where shapes are
-    corrected by the parts of the last proposal, these keep their names: StageError when one is not found again.
+    a group is then one of its shapes with the most parts, unless exemplars were chosen or groups changed by hand.
+    Where shapes are corrected by the parts of the last proposal, these keep their names: StageError when one is not
+    found again.
     """
     from shapeforge.deformation.boxes import propose_parts
     from shapeforge.deformation.proposed_again import numbered_as
@@ -235,7 +236,7 @@ def cosegment(task: Task) -> Iterator[Progress]:
         rng = np.random.default_rng(options["seed"])
         proposal = edit_parts(found, options["edits"], project.shapes, project.groups, rng=rng)
     chosen = (project.stage_record("group") or {}).get("options", {}).get("exemplars")
-    if chosen and chosen not in ("auto", ["auto"]):
+    if project.grouped_by_hand or (chosen and chosen not in ("auto", ["auto"])):
         proposal = replace(proposal, exemplars=project.groups.exemplars)
     if painted:
         _check_paint(project, painted, proposal)

@@ -154,3 +154,13 @@ def test_labels_from_files_do_not_take_the_names_of_proposed_parts(project: Proj
     last(run(project, "label", labels=tmp_path))
     assert project.part_names.names[0] == "leg", "a name given to a painted part stays"
     assert starting_parts(project)[2] is None
+
+
+def test_exemplars_chosen_in_the_window_stay_when_parts_are_proposed(project: Project) -> None:
+    first = last(run(project, "cosegment", parts=4)).state
+    poorest = int(np.argmin([len(np.unique(one.argmax(axis=1))) for one in first.segmentation]))
+    project.set_groups(replace(project.groups, exemplars=np.array([poorest])), by_hand=True)
+    proposal = last(run(project, "cosegment")).state
+    number = [len(np.unique(one.argmax(axis=1))) for one in proposal.segmentation]
+    assert number[poorest] < max(number), "another has more parts"
+    assert proposal.exemplars.tolist() == starting_groups(project).exemplars.tolist() == [poorest]
