@@ -296,7 +296,7 @@ def _check_paint(project: Project, before: _Before, proposal: Any) -> None:
                 raise StageError(
                     f"{name} is painted with {names[part]}, and the parts proposed now have none that is the same. All "
                     f"stays as it was. Ask for {len(before.found.part_names)} parts (--parts), take the paint off "
-                    f"{', '.join(project.labelled)}, or paint an exemplar all over"
+                    f"{', '.join(project.labelled)}, or paint the exemplars all over"
                 )
 
 

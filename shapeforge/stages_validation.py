@@ -125,7 +125,9 @@ def _affine_transfer(project: Project, jobs: int | None) -> Iterator[tuple[str, 
         known = [name for name in exemplars if name in labelled] or labelled
     shapes = [project.shapes.named(name) for name in known]
     faces = [
-        project.labels(name) if proposal is None else _faces_of(shape, proposal.segmentation[project.index(name)])
+        project.labels(name)
+        if proposal is None
+        else _faces_of(shape, proposal.segmentation[project.index(name)], project.labels(name))
         for name, shape in zip(known, shapes, strict=True)
     ]
     references = reference_points(shapes)
@@ -141,11 +143,12 @@ def _affine_transfer(project: Project, jobs: int | None) -> Iterator[tuple[str, 
         workers.close()
 
 
-def _faces_of(shape: Any, segmentation: np.ndarray) -> np.ndarray:
-    """Part per face record (n_faces,) by the votes of the face's own samples, -1 where it has none."""
+def _faces_of(shape: Any, segmentation: np.ndarray, painted: np.ndarray | None) -> np.ndarray:
+    """Part per face record (n_faces,): the one painted, else by the votes of the face's own samples, else -1."""
     votes = np.zeros((shape.mesh.n_faces, segmentation.shape[1]))
     np.add.at(votes, shape.face_of_point, segmentation)
-    return np.where(votes.sum(axis=1) > 0, votes.argmax(axis=1), -1).astype(np.int32)
+    faces = np.where(votes.sum(axis=1) > 0, votes.argmax(axis=1), -1).astype(np.int32)
+    return faces if painted is None else np.where(painted >= 0, painted, faces).astype(np.int32)
 
 
 def _matched(

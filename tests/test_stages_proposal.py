@@ -14,7 +14,9 @@ from shapeforge.collection.iterate import last
 from shapeforge.stages import StageError, next_step, run, status
 from shapeforge.stages_collection import read_proposal
 from shapeforge.stages_model import starting_groups, starting_parts
+from shapeforge.stages_status import Corrections, corrections
 from shapeforge.stages_validation import validate
+from shapeforge.stages_warm import warm_start
 from shapeforge.store import Project
 
 POINTS, COUNT = 400, 6
@@ -145,15 +147,36 @@ def test_a_corrected_family_is_compared_with_truth_by_the_parts_it_shares_most_w
 def test_labels_from_files_do_not_take_the_names_of_proposed_parts(project: Project, family: Path, tmp_path: Path):
     for name in project.names:
         faces = np.loadtxt(family / f"{name}.seg", dtype=int)
-        (tmp_path / f"{name}.seg").write_text("\n".join(str(1 + part % 4) for part in faces))
+        ids = [1 + part % 3 if face % 2 else -1 for face, part in enumerate(faces)]
+        (tmp_path / f"{name}.seg").write_text("\n".join(map(str, ids)))
     stroke(project, no_exemplar(project))  # no paint by the proposed parts is left when files are there for all shapes
     last(run(project, "label", labels=tmp_path))
     names = project.part_names
-    assert list(zip(names.ids, names.names, strict=True)) == [(part, f"part {part}") for part in (1, 2, 3, 4)]
+    assert list(zip(names.ids, names.names, strict=True)) == [(part, f"part {part}") for part in (1, 2, 3)]
+    assert starting_parts(project)[2] is None, "parts of the same names as those proposed, by chance"
     project.set_part_names(replace(names, names=("leg", *names.names[1:])))
     last(run(project, "label", labels=tmp_path))
     assert project.part_names.names[0] == "leg", "a name given to a painted part stays"
-    assert starting_parts(project)[2] is None
+
+
+def test_strokes_on_an_exemplar_put_its_proposed_parts_right_and_leave_the_rest(project: Project, family: Path):
+    t = int(starting_groups(project).exemplars[0])
+    name = project.names[t]
+    project.set_groups(replace(project.groups, exemplars=np.array([t])), by_hand=True)
+    last(run(project, "fit", rounds=2, jobs=1))
+    proposed = read_proposal(project).segmentation[t].argmax(axis=1)
+    painted = stroke(project, name, turn=1)[project.shapes.named(name).face_of_point]
+    wanted = np.bincount(np.where(painted >= 0, painted, proposed))
+    assert starting_parts(project)[2] is not None and corrections(project) == Corrections((name,), (name,))
+    for again in ({"warm": True}, {"warm": False, "restart": True}):
+        last(run(project, "fit", rounds=2, jobs=1, **again))
+        template = next(one for one in project.fit().templates if one.source == name)
+        assert np.array_equal(np.bincount(template.label), wanted), again
+    figures = last(validate(project, labels=family, jobs=1)).state
+    assert figures["proposed_parts_are"] and figures["left_out"] == [name]
+    project.set_labels(name, np.maximum(project.labels(name), 0))
+    assert starting_parts(project)[2] is None, "painted all over"
+    assert corrections(project).why == warm_start(project)[1] == ""
 
 
 def test_exemplars_chosen_in_the_window_stay_when_parts_are_proposed(project: Project) -> None:

@@ -131,8 +131,9 @@ def fit_templates(
     """Learn part templates from painted exemplars and fit them to every shape (§4, Algorithm 1).
 
     ``labels[t]`` are part indices per face record (-1: unpainted) of shape t; every group's exemplar needs some, unless
-    ``seeds`` gives label probabilities (P, L) of every shape (automatic start): the start of Q(S), and soft evidence
-    whose weight falls from round to round.  ``prior(t, g)`` is a Gaussian on D.
+    ``seeds`` gives label probabilities (P, L) of every shape (automatic start): the parts of exemplars where these are
+    not painted, the start of Q(S), and soft evidence whose weight falls from round to round.  ``prior(t, g)`` is a
+    Gaussian on D.
     Several exemplars get only the first seven tenths of the ``rounds``, and are followed by ``family_rounds`` of the
     family's own templates (see ``family``; None: as many as ``rounds``, at most 8).  ``resume`` goes on from a state
     that an earlier call yielded; one whose fit is at its end is worked on further if ``rounds`` says so.  Yields the
