@@ -30,6 +30,7 @@ from shapeforge.stages_status import (
     next_step,
     options_of,
     remedy,
+    starts_from_proposal,
     status,
 )
 from shapeforge.store import Problem, Project, ProjectError, key_of
@@ -165,7 +166,7 @@ def _refresh(project: Project, stage: str, workers: Workers, wanted_by: str) -> 
     """Bring a stage that another one needs up to date, if it was ever run."""
     status_now = status(project)[stage]
     if stage == "label":
-        if not project.labelled:
+        if not project.labelled or starts_from_proposal(project):
             state = status(project)["cosegment"]
             if state.state in ("missing", "locked"):
                 raise StageError(f"{wanted_by} needs parts. {remedy(project, 'label')}")
@@ -204,6 +205,8 @@ def _run_one(
     going_on = bool(record) and record["key"] == key and (record["state"] == "partial" or bool(lost)) and not restart
     result = record["working"] if going_on and record else _fresh_id(project, stage, key)
     old = {"result": record.get("result"), "of": record.get("of"), "from": record.get("from")} if record else {}
+    if record and stage == "cosegment":  # until the new parts are there, paint is of the old ones
+        old["summary"] = record.get("summary")
     running = {"key": key, "options": options, "inputs": inputs, "state": "partial", "working": result}
     if arguments.get("meshes"):
         running["arguments"] = {"meshes": _absolute(arguments["meshes"])}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 from shapeforge.collection.counts import counted
 from shapeforge.collection.labels import LABELS_FILE, PartNames
 from shapeforge.stages import Progress, StageError, Task
-from shapeforge.stages_status import REVISION, options_of
+from shapeforge.stages_status import REVISION, options_of, starts_from_proposal
 from shapeforge.store import Problem, Project, key_of
 from shapeforge.store_arrays import read_record, write_record
 from shapeforge.store_results import write_names
@@ -91,7 +91,9 @@ def label(task: Task) -> Iterator[Progress]:
     except LabelError as error:
         raise StageError(str(error)) from error
     kept = any(not _can_be_read(project, folder, name, wanted) for name in project.labelled)
-    if project.part_names is not None and not (folder / LABELS_FILE).is_file():  # known ids keep their names
+    # known ids keep their names, but for those of proposed parts that no paint is left of: these only number the parts
+    names_stay = kept or (bool(project.labelled) and not starts_from_proposal(project))
+    if project.part_names is not None and names_stay and not (folder / LABELS_FILE).is_file():
         known = dict(zip(project.part_names.ids, project.part_names.names, strict=True))
         given = PartNames(given.ids, tuple(map(known.get, given.ids, given.names)))
     given = replace(given, colours=_chosen_colours(project))
@@ -178,17 +180,21 @@ def _wanted(project: Project, only: Any) -> tuple[list[str], bool]:
 
 
 def merged_part_names(present: PartNames | None, given: PartNames) -> PartNames:
-    """Parts known already keep their index, new ids come after; a known id takes the name given now."""
-    if present is None:
-        return given
-    names = dict(zip(present.ids, present.names, strict=True))
+    """Parts known already keep their index, new ids come after; a known id takes the name given now.
+
+    Raises StageError where two ids would have one name.
+    """
+    names = {} if present is None else dict(zip(present.ids, present.names, strict=True))
     names |= dict(zip(given.ids, given.names, strict=True))
     twice = next((name for name in names.values() if list(names.values()).count(name) > 1), None)
     if twice is not None:
         which = " and ".join(str(identity) for identity, name in names.items() if name == twice)
+        wrong = f"labels.json: {twice!r} would be the name of the ids {which}"
+        if present is None:
+            raise StageError(f"{wrong}. Give each id a name of its own in a {LABELS_FILE} beside the .seg files.")
         raise StageError(
-            f"labels.json: {twice!r} would be the name of the ids {which}, as other shapes of the project have labels "
-            "by other ids. Use the same ids for all shapes, or label all of them again into a new project."
+            f"{wrong}, as other shapes of the project have labels by other ids. Use the same ids for all shapes, or "
+            "label all of them again into a new project."
         )
     return PartNames(tuple(names), tuple(names.values()), given.colours)
 
@@ -205,39 +211,94 @@ def cosegment(task: Task) -> Iterator[Progress]:
     """Propose parts for every shape without labels: label probabilities per point that the fit starts from.
 
     ``edits`` put them right afterwards (see ``proposed_edits``); parts are not sought again for that.  The exemplar of
-    a group is then one of its shapes with the most parts, unless exemplars were chosen by hand.
+    a group is then one of its shapes with the most parts, unless exemplars were chosen or groups changed by hand.
+    Where shapes are corrected by the parts of the last proposal, these keep their names: StageError when one is not
+    found again.
     """
     from shapeforge.deformation.boxes import propose_parts
+    from shapeforge.deformation.proposed_again import numbered_as
     from shapeforge.deformation.proposed_edits import edit_parts
 
     project, folder, options = task.project, task.folder, task.options
     yield task.progress("propose", 0, 1, "looking for parts that many shapes share")
     source = key_of(REVISION, options["parts"], options["seed"], task.inputs)
     before = project.current_folder("cosegment")
+    painted = _painted_before(project, before)
     if options["edits"] and before is not None and (before / f"found-{source}.zarr.zip").is_file() and not task.restart:
         found = read_record(before / f"found-{source}.zarr.zip")[0]
     else:
         rng = np.random.default_rng(options["seed"])
-        found = propose_parts(project.shapes, project.groups, n_parts=options["parts"], rng=rng)
+        parts = options["parts"] or (painted and len(painted.found.part_names)) or None
+        found = propose_parts(project.shapes, project.groups, n_parts=parts, rng=rng)
+        if painted and len(found.part_names) >= len(painted.found.part_names):
+            found = numbered_as(painted.found, found, painted.same)
     proposal = found
     if options["edits"]:
         rng = np.random.default_rng(options["seed"])
         proposal = edit_parts(found, options["edits"], project.shapes, project.groups, rng=rng)
     chosen = (project.stage_record("group") or {}).get("options", {}).get("exemplars")
-    if chosen and chosen not in ("auto", ["auto"]):
+    if project.grouped_by_hand or (chosen and chosen not in ("auto", ["auto"])):
         proposal = replace(proposal, exemplars=project.groups.exemplars)
+    if painted:
+        _check_paint(project, painted, proposal)
     write_record(folder / f"found-{source}.zarr.zip", found)
     write_record(folder / "proposal.zarr.zip", proposal)
     write_record(folder / "parts_of_points.zarr.zip", _parts_of_points(proposal))
-    write_names(folder / "names.zarr.zip", project.names)
+    keys = {name: project.shape_record(name)["key"] for name in project.names}
+    write_names(folder / "names.zarr.zip", project.names, keys=keys)
     number = len(proposal.part_names)
-    if not project.labelled:
+    if painted or not project.labelled:
         part_names = PartNames(tuple(range(number)), tuple(proposal.part_names), _chosen_colours(project))
         project.set_part_names(part_names)
     text = proposed_text(proposal, edited=bool(options["edits"]))
     task.summary |= {"text": text, "parts": number, "energy": float(getattr(proposal, "energy", np.nan))}
     task.summary["part_names"] = list(proposal.part_names)
     yield task.progress("propose", 1, 1, text, state=proposal)
+
+
+@dataclass(frozen=True, eq=False)
+class _Before:
+    """The last proposal, whose parts some shapes are painted with: as it was ``found``, and ``edited`` since.
+
+    ``same`` are the shapes, by their numbers then and now, that are still as they were.
+    """
+
+    found: Any
+    edited: Any
+    same: tuple[tuple[int, int], ...]
+
+
+def _painted_before(project: Project, folder: Path | None) -> _Before | None:
+    """The last proposal, in ``folder``; None where no paint depends on it."""
+    if folder is None or not project.labelled or not starts_from_proposal(project):
+        return None
+    files = [next(folder.glob(f"{name}.zarr.zip"), None) for name in ("names", "found-*", "proposal")]
+    if None in files:  # lost: the same parts are found again
+        return None
+    about, found, edited = (read_record(file)[0] for file in files if file is not None)
+    now, keys = {name: t for t, name in enumerate(project.names)}, about.get("keys") or {}
+    return _Before(found, edited, tuple(
+        (then, now[name]) for then, name in enumerate(about["names"])
+        if name in now and len(edited.segmentation[then]) == project.shapes.named(name).n_points
+        and keys.get(name, "") in ("", project.shape_record(name)["key"])
+    ))  # fmt: skip
+
+
+def _check_paint(project: Project, before: _Before, proposal: Any) -> None:
+    """Raises StageError where a part that shapes are painted with is not one of the ``proposal``."""
+    from shapeforge.deformation.proposed_again import FOUND_AGAIN, shared_surface
+
+    names = tuple(before.edited.part_names)
+    named = tuple(proposal.part_names[: len(names)]) == names
+    shared = shared_surface(before.edited, proposal, before.same)
+    for name in project.labelled:
+        for part in np.unique(project.labels(name)):
+            if part >= 0 and not (named and shared[part, part] > FOUND_AGAIN):
+                raise StageError(
+                    f"{name} is painted with {names[part]}, and the parts proposed now have none that is the same. All "
+                    f"stays as it was. Ask for {len(before.found.part_names)} parts (--parts), take the paint off "
+                    f"{', '.join(project.labelled)}, or paint the exemplars all over"
+                )
 
 
 def proposed_text(proposal: Any, *, edited: bool) -> str:

@@ -8,9 +8,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
+from weakref import WeakKeyDictionary
 
 from shapeforge.collection.counts import counted
-from shapeforge.store import Project, key_of
+from shapeforge.store import Project, ProjectError, key_of
 
 STAGES: tuple[str, ...] = ("import", "group", "label", "cosegment", "fit", "learn", "refine", "synthesize")
 
@@ -60,6 +61,9 @@ RESULTS: dict[str, tuple[str, ...]] = {
 """Files without which the results of a finished stage are not complete."""
 
 State = Literal["missing", "partial", "done", "stale", "locked"]
+
+ALL_OVER = 0.9
+"""Share of an exemplar's surface from which on it counts as painted all over: what is inside is hard to paint."""
 
 LONGEST_VALUE = 60
 """Characters of an option's value in a message."""
@@ -115,9 +119,9 @@ def inputs_of(project: Project, stage: str) -> dict[str, Any]:
 
 
 def starts_from_proposal(project: Project) -> bool:
-    """Whether a fit starts from proposed parts: no exemplar is labelled, and labels on other shapes are of these parts.
+    """Whether a fit starts from proposed parts: all labels are of these, and not every exemplar is painted all over.
 
-    Such labels are corrections: evidence on their shapes.
+    Such labels are corrections: evidence on their shapes, and an exemplar's parts are the proposed ones elsewhere.
     """
     record = project.stage_record("cosegment") or {}
     if not record.get("result"):
@@ -125,9 +129,29 @@ def starts_from_proposal(project: Project) -> bool:
     labelled, groups = set(project.labelled), project.groups
     if not labelled or groups is None:
         return not labelled
-    names = list(project.part_names.names) if project.part_names is not None else []
-    proposed = (record.get("summary") or {}).get("part_names")
-    return names == proposed and not any(project.names[t] in labelled for t in groups.exemplars)
+    parts, proposed = project.part_names, (record.get("summary") or {}).get("part_names")
+    if parts is None or list(parts.names) != proposed or parts.ids != tuple(range(len(proposed))):
+        return False
+    exemplars = [project.names[t] for t in groups.exemplars]
+    return not labelled.issuperset(exemplars) or any(painted_share(project, name) < ALL_OVER for name in exemplars)
+
+
+_shares_read: WeakKeyDictionary[Project, dict[tuple[str, ...], float]] = WeakKeyDictionary()
+
+
+def painted_share(project: Project, name: str) -> float:
+    """Share of a labelled shape's surface points that are painted; 1 where that cannot be read.
+
+    It is asked for at every turn, so what was read is kept until the paint or the shape is another.
+    """
+    asked = (name, str(project.label_key(name)), project.shape_record(name)["key"])
+    known = _shares_read.setdefault(project, {})
+    if asked not in known:
+        try:
+            known[asked] = float((project.labels(name)[project.shapes.named(name).face_of_point] >= 0).mean())
+        except ProjectError:  # the fit, which needs both, says what is wrong
+            return 1.0
+    return known[asked]
 
 
 @dataclass(frozen=True)
@@ -188,6 +212,8 @@ def _why_not_warm(project: Project, summary: Mapping[str, Any], found: Correctio
     if starts_from_proposal(project):
         if found.new:
             return "The parts were proposed before the new shapes came."
+        if _fitted_parts(project) != first_parts(project):
+            return "The proposed parts are others than in the fit."
     else:
         if not set(summary["exemplars"]) <= set(exemplars):
             return "The exemplars are others than in the fit."
@@ -203,20 +229,28 @@ def _why_not_warm(project: Project, summary: Mapping[str, Any], found: Correctio
     return next(filter(None, (_why_unseen(project, name) for name in found.exemplars)), "")
 
 
+def _fitted_parts(project: Project) -> str:
+    """Which proposal of parts the present fit started from; "" where it started from labels."""
+    inputs = (project.stage_record("fit") or {}).get("inputs") or {}
+    return str(inputs.get("first parts") or "")
+
+
 def _why_unseen(project: Project, name: str) -> str:
     """Why a fit cannot be taken up with what an exemplar's paint covers now, by the paint that the fit kept of it.
 
-    An exemplar without paint in the fit had templates of proposed parts: what these cover only the fit itself tells.
+    With proposed parts an exemplar's templates are not of its paint alone: what they cover only the fit itself tells.
     """
-    from shapeforge.deformation.warm import UNSEEN, much_unseen
+    from shapeforge.deformation.warm import why_other_surface
 
+    if _fitted_parts(project):
+        return ""
     fitted, faces = project.beliefs(name), project.labels(name)
     if fitted is None or faces is None or not (seen := fitted.evidence >= 0).any():
         return ""
     on = project.shapes.named(name).face_of_point
     if len(on) != len(seen) or len(faces) <= on.max():
         return ""
-    return UNSEEN.format(name=name) if much_unseen(seen, faces[on] >= 0) else ""
+    return why_other_surface(name, seen, faces[on] >= 0)
 
 
 def difference(record: Mapping[str, Any], options: Mapping[str, Any], inputs: Mapping[str, Any]) -> str:
@@ -263,7 +297,8 @@ def _status(project: Project, stage: str, before: Mapping[str, Status]) -> Statu
     lost = lost_results(project, stage, record)
     if lost:
         return Status("stale", lost)
-    used = (*needs, "cosegment") if stage == "fit" and not project.labelled else needs
+    proposed = stage == "fit" and (not project.labelled or starts_from_proposal(project))
+    used = (*needs, "cosegment") if proposed else needs
     for name in used:
         if before[name].state in ("stale", "partial") and name != "import":
             return Status("stale", f"{name} is {before[name].state}: {before[name].reason}")
@@ -338,7 +373,7 @@ def next_step(project: Project) -> str:
     required = ("import", "group", "label", "fit", "learn", "synthesize")
     for stage in required:
         state = states[stage].state
-        if stage == "label" and not project.labelled and states["cosegment"].state == "done":
+        if stage == "label" and starts_from_proposal(project) and states["cosegment"].state == "done":
             continue
         if state != "done" and not (stage == "import" and state == "stale"):
             return remedy(project, stage)

@@ -16,6 +16,7 @@ from shapeforge.collection.labels import LabelError, PartNames, find_part_names,
 from shapeforge.collection.shape import Mesh
 from shapeforge.stages import Progress, StageError, refresh
 from shapeforge.stages_collection import read_proposal
+from shapeforge.stages_status import starts_from_proposal
 from shapeforge.stages_synthesis import fitted_part_names
 from shapeforge.store import Problem, Project
 from shapeforge.workers import Workers
@@ -86,7 +87,7 @@ def validate(
     points = {name: project.shapes.named(name).frame.to_input(project.positions(name)) for name in names}
     evidence = [name for name in project.labelled if name in names]
     part_names, matched = parts.names, None
-    if truth is not None and not project.labelled:
+    if truth is not None and starts_from_proposal(project):
         part_names, matched = _matched(mesh_of, predicted, truth, parts.names, truth_parts.names)
     baseline: dict[str, tuple[np.ndarray, np.ndarray]] = {}
     if truth is not None or true_marks is not None:
@@ -111,18 +112,22 @@ def validate(
 def _affine_transfer(project: Project, jobs: int | None) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     """Per shape: name, labels (n_faces,) and corresponding points (K, 3, input coordinates) of the plain baseline.
 
-    It sees what the fit saw: the labels of the exemplars, or the proposed parts where there were none.
+    It sees what the fit saw: the labels of the exemplars, or the proposed parts where it started from these.
     """
     from shapeforge.validation.transfer import affine_transfer, reference_points
 
     names, labelled = project.fit_names, list(project.labelled)
     groups = project.groups
     exemplars = [project.names[t] for t in groups.exemplars] if groups is not None else []
-    known = [name for name in exemplars if name in labelled] or labelled or exemplars
+    proposal = read_proposal(project) if starts_from_proposal(project) else None
+    known = exemplars
+    if proposal is None:
+        known = [name for name in exemplars if name in labelled] or labelled
     shapes = [project.shapes.named(name) for name in known]
-    proposal = None if labelled else read_proposal(project)
     faces = [
-        project.labels(name) if proposal is None else _faces_of(shape, proposal.segmentation[project.index(name)])
+        project.labels(name)
+        if proposal is None
+        else _faces_of(shape, proposal.segmentation[project.index(name)], project.labels(name))
         for name, shape in zip(known, shapes, strict=True)
     ]
     references = reference_points(shapes)
@@ -138,11 +143,12 @@ def _affine_transfer(project: Project, jobs: int | None) -> Iterator[tuple[str, 
         workers.close()
 
 
-def _faces_of(shape: Any, segmentation: np.ndarray) -> np.ndarray:
-    """Part per face record (n_faces,) by the votes of the face's own samples, -1 where it has none."""
+def _faces_of(shape: Any, segmentation: np.ndarray, painted: np.ndarray | None) -> np.ndarray:
+    """Part per face record (n_faces,): the one painted, else by the votes of the face's own samples, else -1."""
     votes = np.zeros((shape.mesh.n_faces, segmentation.shape[1]))
     np.add.at(votes, shape.face_of_point, segmentation)
-    return np.where(votes.sum(axis=1) > 0, votes.argmax(axis=1), -1).astype(np.int32)
+    faces = np.where(votes.sum(axis=1) > 0, votes.argmax(axis=1), -1).astype(np.int32)
+    return faces if painted is None else np.where(painted >= 0, painted, faces).astype(np.int32)
 
 
 def _matched(

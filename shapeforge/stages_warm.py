@@ -31,10 +31,10 @@ def warm_start(project: Project) -> tuple[Any | None, str]:
     fitted = [name if name in known else "" for name in about["names"]]
     state = gathered(read_record(folder / "fit.zarr.zip")[0], fitted, project.names)
     try:
-        labels, part_names, _ = starting_parts(project)
+        labels, part_names, seeds = starting_parts(project)
     except StageError as error:
         return None, str(error)
-    reason = why_not_warm(state, project.shapes, starting_groups(project), labels, part_names)
+    reason = why_not_warm(state, project.shapes, starting_groups(project), labels, part_names, seeds)
     return (None, reason) if reason else (state, "")
 
 

@@ -234,6 +234,8 @@ def test_part_names_keep_their_index() -> None:
     first, second = PartNames((1, 2), ("back", "seat")), PartNames((2, 5), ("Seat", "arm"))
     assert merged_part_names(None, second) == second
     assert merged_part_names(first, second) == PartNames((1, 2, 5), ("back", "Seat", "arm"))
+    with pytest.raises(StageError, match="'arm' would be the name of the ids 2 and 5"):
+        merged_part_names(None, PartNames((2, 5), ("arm", "arm")))
 
 
 # -- resuming --------------------------------------------------------------------------------------------------------
@@ -646,8 +648,10 @@ def test_much_paint_on_what_was_bare_in_the_fit_is_known_before_a_refit(done: Pr
     whole = project.labels(exemplar)
     bare = np.where(whole == np.bincount(whole).argmax(), -1, whole).astype(np.int32)
     project.set_labels(exemplar, bare)
-    assert corrections(project) == Corrections((exemplar,), (exemplar,)), "paint may go"
-    last(run(project, "fit", warm=True, jobs=1))
+    told = corrections(project).why
+    assert told.startswith(f"Much of {exemplar} was painted in the fit and no longer is")
+    assert warm_start(project) == (None, told), "the fit itself says the same"
+    last(run(project, "fit", jobs=1))
     project.set_labels(exemplar, whole)
     told = corrections(project).why
     assert told.startswith(f"Much of {exemplar} was unpainted in the fit")

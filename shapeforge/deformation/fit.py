@@ -131,17 +131,24 @@ def fit_templates(
     """Learn part templates from painted exemplars and fit them to every shape (§4, Algorithm 1).
 
     ``labels[t]`` are part indices per face record (-1: unpainted) of shape t; every group's exemplar needs some, unless
-    ``seeds`` gives label probabilities (P, L) of every shape (automatic start): the start of Q(S), and soft evidence
-    whose weight falls from round to round.  ``prior(t, g)`` is a Gaussian on D.
+    ``seeds`` gives label probabilities (P, L) of every shape (automatic start): the parts of exemplars where these are
+    not painted, the start of Q(S), and soft evidence whose weight falls from round to round.  ``prior(t, g)`` is a
+    Gaussian on D.
     Several exemplars get only the first seven tenths of the ``rounds``, and are followed by ``family_rounds`` of the
     family's own templates (see ``family``; None: as many as ``rounds``, at most 8).  ``resume`` goes on from a state
     that an earlier call yielded; one whose fit is at its end is worked on further if ``rounds`` says so.  Yields the
     affine start and then one state a round; ``within`` rounds also a ``Within`` after every shape.
 
-    Raises ValueError when no exemplar has labels, FitDiverged (with the last good state) on non-finite numbers.
+    Raises ValueError when no exemplar has labels or ``seeds`` are of other shapes, FitDiverged (with the last good
+    state) on non-finite numbers.
     """
     del rng  # the fit itself is deterministic; the argument is part of every algorithm's face
     family_rounds = min(family.ROUNDS, rounds) if family_rounds is None else family_rounds
+    if seeds is not None and len(seeds) != len(shapes):
+        raise ValueError(
+            f"seeds: wanted label probabilities of each of the {len(shapes)} shapes, got {len(seeds)}; the parts were "
+            "proposed for others: propose them again"
+        )
     each_shape, painted = kept(executor, shapes), [labels.get(t) for t in range(len(shapes))]
     if resume is None:
         templates = tuple(exemplar_templates(shapes, groups, labels, part_names, seeds))

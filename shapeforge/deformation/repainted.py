@@ -22,7 +22,8 @@ from shapeforge.collection.shape import Shape, Shapes
 from shapeforge.deformation.beliefs import Beliefs
 from shapeforge.deformation.exemplars import Candidate, compact, unpacked, weigh, weighted
 from shapeforge.deformation.family import TRUSTED
-from shapeforge.deformation.templates import PartTemplates, template_from_exemplar
+from shapeforge.deformation.starts import exemplar_template
+from shapeforge.deformation.templates import PartTemplates
 from shapeforge.deformation.updates import make_problem
 
 
@@ -47,12 +48,16 @@ def surface_rows(templates: PartTemplates, shape: Shape) -> Int[np.ndarray, " K"
     return rows if distance.max() < 1e-6 else None
 
 
-def carried(old: PartTemplates, shape: Shape, faces: Int[np.ndarray, " F"]) -> Carried:
+def carried(
+    old: PartTemplates, shape: Shape, faces: Int[np.ndarray, " F"], seed: Float[np.ndarray, "P L"] | None = None
+) -> Carried:
     """The templates of the exemplar ``shape`` as it is painted now (``faces``), where the old ones had moved to.
+
+    Where it is not painted, it has the parts that were proposed for it (``seed``), if any were.
 
     Raises ValueError when the old ones were made of another surface, or nothing is painted.
     """
-    rows, fresh = surface_rows(old, shape), template_from_exemplar(shape, faces, old.part_names)
+    rows, fresh = surface_rows(old, shape), exemplar_template(shape, faces, old.part_names, seed)
     now = surface_rows(fresh, shape)
     if rows is None or now is None:
         raise ValueError(f"old: its points are not those of {shape.name}; it was read anew since. Fit from the start.")
@@ -104,12 +109,17 @@ def carry_candidates(
     templates: tuple[PartTemplates, ...],
     candidates: Sequence[Sequence[Candidate]],
     repainted: Mapping[int, int],
+    seeds: Sequence[np.ndarray] | None = None,
 ) -> tuple[tuple[PartTemplates, ...], tuple[tuple[Candidate, ...], ...]]:
     """Exemplars' templates and every shape's candidates after ``repainted`` (template set -> shape index) exemplars.
 
-    Candidates of the family's own templates are left out: these have to be linked anew.
+    ``seeds`` are the parts proposed for every shape, if any were.  Candidates of the family's own templates are left
+    out: these have to be linked anew.
     """
-    new = {g: carried(templates[g], shapes[t], labels[t]) for g, t in repainted.items()}
+    new = {
+        g: carried(templates[g], shapes[t], labels[t], None if seeds is None else seeds[t])
+        for g, t in repainted.items()
+    }
     after = tuple(new[g].templates if g in new else template for g, template in enumerate(templates))
     found = in_order(
         executor, _carry_shape, (shapes[t] for t in range(len(shapes))), [labels.get(t) for t in range(len(shapes))],

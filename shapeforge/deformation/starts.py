@@ -14,7 +14,7 @@ from shapeforge.deformation.exemplars import Candidate, compact, weigh
 from shapeforge.deformation.existence import given_parts, part_prevalence
 from shapeforge.deformation.partial import LEFT_OUT, partial_starts
 from shapeforge.deformation.pose import posed_starts
-from shapeforge.deformation.templates import PartTemplates, template_from_exemplar, template_from_points
+from shapeforge.deformation.templates import PartTemplates, painted_parts, template_from_exemplar, template_from_points
 from shapeforge.deformation.updates import Problem, leaning_to, make_problem
 
 
@@ -78,17 +78,13 @@ def with_parts(beliefs: Beliefs, active: np.ndarray) -> Beliefs:
 
 
 def exemplar_templates(shapes, groups, labels, part_names, seeds) -> Iterator[PartTemplates]:
-    """One template set per exemplar that has labels; the others' groups are explained by these."""
+    """One template set per exemplar that has labels or proposed parts; the others' groups are explained by these."""
     found = False
     for t in groups.exemplars:
-        shape = shapes[int(t)]
         faces = labels.get(int(t))
-        if faces is not None and (np.asarray(faces) >= 0).any():
+        if seeds is not None or (faces is not None and (np.asarray(faces) >= 0).any()):
             found = True
-            yield template_from_exemplar(shape, faces, part_names)
-        elif seeds is not None:
-            found = True
-            yield _seeded_template(shape, seeds[int(t)], part_names)
+            yield exemplar_template(shapes[int(t)], faces, part_names, None if seeds is None else seeds[int(t)])
     if not found:
         names = ", ".join(shapes[int(t)].name for t in groups.exemplars)
         raise ValueError(
@@ -97,7 +93,23 @@ def exemplar_templates(shapes, groups, labels, part_names, seeds) -> Iterator[Pa
         )
 
 
-def _seeded_template(shape: Shape, seed: np.ndarray, part_names: tuple[str, ...]) -> PartTemplates:
-    return template_from_points(
-        shape.points, shape.normals, shape.descriptors, np.argmax(seed, axis=1).astype(np.int32), part_names, shape.name
-    )
+def exemplar_template(
+    shape: Shape, faces: np.ndarray | None, part_names: tuple[str, ...], seed: np.ndarray | None
+) -> PartTemplates:
+    """The templates of one exemplar: of its paint (``faces``), over the parts proposed for it (``seed``) if there are.
+
+    A few strokes on proposed parts put these right there, and are not all that there is.
+    """
+    if faces is not None and (seed is None or (painted_parts(shape, faces) >= 0).all()):
+        return template_from_exemplar(shape, faces, part_names)
+    parts = exemplar_parts(shape, faces, seed)
+    return template_from_points(shape.points, shape.normals, shape.descriptors, parts, part_names, shape.name)
+
+
+def exemplar_parts(shape: Shape, faces: np.ndarray | None, seed: np.ndarray | None) -> np.ndarray:
+    """The part (P,) that an exemplar has at every point: the one painted, else the likeliest proposed one, else -1."""
+    parts = np.full(shape.n_points, -1, np.int32) if seed is None else np.argmax(seed, axis=1).astype(np.int32)
+    if faces is None:
+        return parts
+    painted = painted_parts(shape, faces)
+    return np.where(painted >= 0, painted, parts).astype(np.int32)

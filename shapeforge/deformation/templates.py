@@ -205,15 +205,20 @@ def _pieces(near: np.ndarray, surface: np.ndarray) -> np.ndarray:
 
 def template_from_exemplar(shape: Shape, faces: Int[np.ndarray, " F"], part_names: tuple[str, ...]) -> PartTemplates:
     """Templates from the painted exemplar: its labelled surface points (Algorithm 1, line 1)."""
+    return template_from_points(
+        shape.points, shape.normals, shape.descriptors, painted_parts(shape, faces), part_names, shape.name,
+        face_components(shape.mesh)[shape.face_of_point],
+    )  # fmt: skip
+
+
+def painted_parts(shape: Shape, faces: Int[np.ndarray, " F"]) -> Int[np.ndarray, " P"]:
+    """The part painted at every point, -1 where nothing is.  Raises ValueError for labels of another mesh."""
     if len(faces) != shape.mesh.n_faces:
         raise ValueError(
             f"faces: wanted {shape.mesh.n_faces} labels for {shape.name}, got {len(faces)}; "
             "the labels belong to another version of the mesh"
         )
-    return template_from_points(
-        shape.points, shape.normals, shape.descriptors, np.asarray(faces)[shape.face_of_point], part_names, shape.name,
-        face_components(shape.mesh)[shape.face_of_point],
-    )  # fmt: skip
+    return np.asarray(faces)[shape.face_of_point]
 
 
 def pair_graph(neighbours: Int[np.ndarray, "N n"]) -> tuple[np.ndarray, np.ndarray]:

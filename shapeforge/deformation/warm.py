@@ -23,6 +23,7 @@ from shapeforge.deformation.apply import fit_candidates
 from shapeforge.deformation.exemplars import Candidate
 from shapeforge.deformation.fit import FitState, Within, end_of, fit_templates, told
 from shapeforge.deformation.repainted import carry_candidates, surface_rows
+from shapeforge.deformation.starts import exemplar_parts
 
 WARM_ROUNDS = 2
 """Rounds of all shapes after the corrected ones were found anew."""
@@ -32,9 +33,11 @@ FAMILY_ROUNDS = 4
 
 MOST_UNSEEN = 0.1
 """Share of an exemplar's painted surface that may have been unpainted in the fit: where it lies on the other shapes is
-only guessed from its neighbourhood.  With a whole part of chairs unseen the labels ended worse than after a new fit."""
+only guessed from its neighbourhood.  With a whole part of chairs unseen the labels ended worse than after a new fit.
+Of what was painted in the fit, as little may be unpainted now: templates of what is left could not tell the rest."""
 
 UNSEEN = "Much of {name} was unpainted in the fit: nobody knows where that is on the other shapes."
+BARE = "Much of {name} was painted in the fit and no longer is: that would be lost on the other shapes, too."
 
 
 def gathered(state: FitState, known: Sequence[str], names: Sequence[str]) -> FitState:
@@ -64,11 +67,12 @@ def corrected_shapes(
 
 def why_not_warm(
     state: FitState, shapes: Shapes | Sequence[Shape], groups: Groups, labels: Mapping[int, np.ndarray],
-    part_names: Sequence[str],
+    part_names: Sequence[str], seeds: Sequence[np.ndarray] | None = None,
 ) -> str:  # fmt: skip
     """Why a fit cannot be taken up again from ``state``, in a sentence; "" when it can.
 
-    Its templates are those of certain parts and exemplars: where these are others, they need a new start.
+    Arguments as those of ``fit_templates``.  Its templates are those of certain parts and exemplars: where these are
+    others, they need a new start.
     """
     names = _names(shapes)
     if len(state.candidates) != len(names):
@@ -94,9 +98,18 @@ def why_not_warm(
         if rows is None:
             return f"{names[t]} is an exemplar, and was read anew since the fit."
         seen = np.isin(np.arange(shapes[t].n_points), rows)
-        if much_unseen(seen, _evidence(shapes[t], labels[t]) >= 0):
-            return UNSEEN.format(name=names[t])
+        known = exemplar_parts(shapes[t], labels[t], None if seeds is None else seeds[t]) >= 0
+        if why := why_other_surface(names[t], seen, known):
+            return why
     return ""
+
+
+def why_other_surface(name: str, seen: np.ndarray, painted: np.ndarray) -> str:
+    """Why the templates of an exemplar, which have ``seen`` (P,) its points, cannot be made again of those ``painted``
+    (P,), in a sentence; "" when they can."""
+    if much_unseen(seen, painted):
+        return UNSEEN.format(name=name)
+    return BARE.format(name=name) if much_unseen(painted, seen) else ""
 
 
 def much_unseen(seen: np.ndarray, painted: np.ndarray) -> bool:
@@ -125,14 +138,14 @@ def refit_templates(
     goes on in the same way: its corrections are part of it.  Raises ValueError with the reason where ``why_not_warm``
     gives one.
     """
-    reason = why_not_warm(state, shapes, groups, labels, part_names)
+    reason = why_not_warm(state, shapes, groups, labels, part_names, seeds)
     if reason:
         raise ValueError(f"state: {reason} Fit from the start.")
     changed = corrected_shapes(state, shapes, labels)
     if changed or state.stop_reason is not None:
         repainted = _repainted(state, shapes, groups, labels)
         if repainted:
-            state = _with_new_templates(state, shapes, labels, repainted, rounds, executor)
+            state = _with_new_templates(state, shapes, labels, repainted, rounds, executor, seeds)
             changed = tuple(t for t in changed if t not in repainted.values())
         of = state.family_from + FAMILY_ROUNDS if repainted and state.family_from >= 0 else state.round + rounds
         state = replace(state, stop_reason=None, of=of, phase="corrected")
@@ -155,10 +168,10 @@ def refit_templates(
     )  # fmt: skip
 
 
-def _with_new_templates(state, shapes, labels, repainted, rounds, executor) -> FitState:
+def _with_new_templates(state, shapes, labels, repainted, rounds, executor, seeds) -> FitState:
     """The state after exemplars were painted otherwise; the family's own templates follow after ``rounds``."""
     templates = state.templates[:-1] if state.family is not None else state.templates
-    templates, candidates = carry_candidates(executor, shapes, labels, templates, state.candidates, repainted)
+    templates, candidates = carry_candidates(executor, shapes, labels, templates, state.candidates, repainted, seeds)
     after = state.round + rounds if state.family_from >= 0 else -1
     return replace(state, templates=templates, candidates=candidates, family=None, family_from=after)
 

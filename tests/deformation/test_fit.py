@@ -125,6 +125,12 @@ def test_a_part_that_was_proposed_for_a_shape_stays(family):
     assert [bool(believed_parts(tried)[arm]) for tried in found.candidates[1:5]] == [True, False, False, False]
 
 
+def test_probabilities_of_other_shapes_are_refused(family):
+    shapes, groups, _, names = family
+    with pytest.raises(ValueError, match="each of the 6 shapes, got 4"):
+        next(fit_templates(shapes, groups, {}, names, seeds=true_seeds(family)[:4], rng=np.random.default_rng(0)))
+
+
 def test_painted_points_keep_their_label(family, states):
     shapes, _, truth, _ = family
     painted = truth[0][shapes[0].face_of_point]

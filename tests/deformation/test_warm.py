@@ -115,7 +115,11 @@ def test_it_says_why_a_fit_has_to_start_anew(family):
     assert "had no templates" in why_not_warm(state, shapes, third, {**labels, 3: truth[3]}, names)
     parts = np.bincount(truth[4][shapes[4].face_of_point])
     lacking = {**labels, 4: np.where(truth[4] == parts.argmax(), -1, truth[4]).astype(np.int32)}
-    assert why_not_warm(state, shapes, groups, lacking, names) == "", "paint may go"
+    assert f"Much of {shapes[4].name} was painted" in why_not_warm(state, shapes, groups, lacking, names)
+    whole = truth[4][shapes[4].face_of_point]
+    little = {**labels, 4: np.where(np.isin(np.arange(len(truth[4])), shapes[4].face_of_point[:40]), -1, truth[4])}
+    assert 0 < (little[4][shapes[4].face_of_point] < 0).sum() < 0.1 * len(whole)
+    assert why_not_warm(state, shapes, groups, little, names) == "", "some paint may go"
     bare = family_without(family, state, parts.argmax())
     assert f"Much of {shapes[4].name} was unpainted" in why_not_warm(bare, shapes, groups, labels, names)
     other = [replace(shapes[0], descriptors=shapes[0].descriptors + 1.0), *shapes[1:]]
@@ -125,6 +129,25 @@ def test_it_says_why_a_fit_has_to_start_anew(family):
     assert "read anew" in why_not_warm(forgotten, shapes, groups, labels, names)
     with pytest.raises(ValueError, match="Fit from the start"):
         next(refit_templates(state, shapes, moved, labels, names, rng=np.random.default_rng(0)))
+
+
+def test_strokes_on_an_exemplar_of_proposed_parts_change_its_templates_there_alone(family):
+    shapes, groups, truth, names, *_ = family
+    parts = [faces[shape.face_of_point] for shape, faces in zip(shapes, truth, strict=True)]
+    seeds = [0.7 * np.eye(len(names))[one] + 0.3 / len(names) for one in parts]
+    known = {"seeds": seeds, "rng": np.random.default_rng(0)}
+    before = next(fit_templates(shapes, groups, {}, names, rounds=1, **known))
+    faces = np.full(len(truth[0]), -1, np.int32)
+    faces[shapes[0].face_of_point[:30]] = 0  # some of it was something else
+    wanted = np.where(faces[shapes[0].face_of_point] == 0, 0, parts[0])
+    assert 0 < (wanted != parts[0]).sum() < 0.2 * POINTS
+    cold = next(fit_templates(shapes, groups, {0: faces}, names, rounds=1, **known))
+    assert why_not_warm(before, shapes, groups, {0: faces}, names, seeds) == ""
+    warm = next(refit_templates(before, shapes, groups, {0: faces}, names, **known))
+    for state in (cold, warm):
+        assert np.array_equal(np.bincount(state.templates[0].label), np.bincount(wanted))
+        assert np.array_equal(state.templates[1].label, before.templates[1].label)
+    assert "was painted in the fit and no longer" in why_not_warm(before, shapes, groups, {0: faces}, names)
 
 
 def family_without(family, state, part: int):
