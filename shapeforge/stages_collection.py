@@ -76,7 +76,7 @@ def label(task: Task) -> Iterator[Progress]:
     ``only`` is "exemplars" or names.  A file that does not fit its mesh is reported and skipped.  Raises
     :class:`StageError` when a shape asked for by name gets no labels, or none at all does.
     """
-    from shapeforge.collection.labels import LabelError, find_part_names, read_seg
+    from shapeforge.collection.labels import LabelError, find_part_names
 
     project = task.project
     if task.arguments["labels"] is None:
@@ -90,7 +90,7 @@ def label(task: Task) -> Iterator[Progress]:
         given = find_part_names(folder)
     except LabelError as error:
         raise StageError(str(error)) from error
-    kept = any(not _can_be_read(project, folder, name, wanted) for name in project.labelled)
+    kept = any(not _can_be_read(project, folder, name, wanted, given) for name in project.labelled)
     # known ids keep their names, but for those of proposed parts that no paint is left of: these only number the parts
     names_stay = kept or (bool(project.labelled) and not starts_from_proposal(project))
     if project.part_names is not None and names_stay and not (folder / LABELS_FILE).is_file():
@@ -111,9 +111,13 @@ def label(task: Task) -> Iterator[Progress]:
                 problem = Problem(str(file.resolve()), "warning", f"is not there, {name} gets no labels")
         else:
             try:
-                faces = read_seg(file, project.shape_record(name)["n_faces"], given)
+                faces, unknown = _read_known(file, project, name, given)
                 project.set_labels(name, translate[faces])
-                if (faces < 0).all():
+                if unknown:
+                    told = ", ".join(f"{i} ({counted(number, 'face')})" for i, number in unknown.items())
+                    reason = f"has ids that {LABELS_FILE} does not have, which are unlabelled now: {told}"
+                    problem = Problem(str(file.resolve()), "warning", reason, f"Name them in {LABELS_FILE}")
+                elif (faces < 0).all():
                     problem = Problem(str(file.resolve()), "warning", f"has no label: all of {name} is unlabelled")
                 taken.append(name)
                 message = name
@@ -122,10 +126,14 @@ def label(task: Task) -> Iterator[Progress]:
                 problems.append(problem)
                 message = str(error)
         yield task.progress("read", step + 1, len(wanted), message, problem=problem)
-    project.set_problems(problems, [str((folder / f"{name}.seg").resolve()) for name in wanted])
+    over = {f"{name}.seg" for name in taken}  # what was wrong with other files for the same shape
+    about = [problem.file for problem in project.problems if Path(problem.file).name in over]
+    project.set_problems(problems, [*about, *(str((folder / f"{name}.seg").resolve()) for name in wanted)])
     text = f"{counted(len(taken), 'shape')} labelled with {counted(len(part_names), 'part')}"
     if asked and absent:
         text += f", {', '.join(absent)} without"
+    if problems:
+        text += f", {counted(len(problems), 'file')} not read"
     unseen = parts_without_exemplar(project)
     if unseen and not problems:
         which, gets = ", ".join(unseen), "it" if len(unseen) == 1 else "them"
@@ -154,14 +162,28 @@ def parts_without_exemplar(project: Project) -> list[str]:
     return [name for part, name in enumerate(project.part_names.names) if part not in shown]
 
 
-def _can_be_read(project: Project, folder: Path, name: str, wanted: Sequence[str]) -> bool:
+def _can_be_read(project: Project, folder: Path, name: str, wanted: Sequence[str], given: PartNames) -> bool:
     """Whether a shape will get new labels."""
-    from shapeforge.collection.labels import LabelError, read_seg
+    from shapeforge.collection.labels import LabelError
 
     try:
-        return name in wanted and len(read_seg(folder / f"{name}.seg", project.shape_record(name)["n_faces"])) > 0
+        return name in wanted and len(_read_known(folder / f"{name}.seg", project, name, given)[0]) > 0
     except LabelError:
         return False
+
+
+def _read_known(file: Path, project: Project, name: str, given: PartNames) -> tuple[np.ndarray, dict[int, int]]:
+    """Part index (n_faces,) of every face of a shape, and the ids that are not ``given`` with their numbers of faces.
+
+    Raises ``LabelError`` where the file does not fit, also when it has other ids only: what was labelled stays so.
+    """
+    from shapeforge.collection.labels import LabelError, read_seg, unknown_ids
+
+    faces, unknown = read_seg(file, project.shape_record(name)["n_faces"], given), unknown_ids(file, given)
+    if unknown and (faces < 0).all():
+        ids, others = (", ".join(map(str, some)) for some in (given.ids, unknown))
+        raise LabelError(file, f"ids of {LABELS_FILE} ({ids})", f"others only ({others})", f"{name} stays as it was.")
+    return faces, unknown
 
 
 def _wanted(project: Project, only: Any) -> tuple[list[str], bool]:

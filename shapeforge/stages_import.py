@@ -83,6 +83,7 @@ def import_meshes(task: Task) -> Iterator[Progress]:
         yield task.progress("read", step + 1, total, message, problem=problem)
     project.add_shapes(records)
     about = [str(reading.source) for reading in readings] + [problem.file for problem in failed]
+    about += [old.file for old in project.problems if old.kind == "error" and not Path(old.file).exists()]
     project.set_problems(problems, about)
     yield from settle_poses(task)
     errors = sum(problem.kind == "error" for problem in problems)

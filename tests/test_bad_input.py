@@ -312,6 +312,43 @@ def test_bad_labels_are_a_failure(
     assert Project.open(project.path).labelled == ()
 
 
+def test_ids_without_a_name_are_told_and_wipe_no_labels(
+    project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def labels(ids: list[int], which: str) -> tuple[int, str]:
+        (tmp_path / which).mkdir()
+        (tmp_path / which / "labels.json").write_text('{"2": "leg", "3": "seat"}')
+        (tmp_path / which / "cube.seg").write_text("".join(f"{i}\n" for i in ids))
+        status, _, err = run(capsys, "label", project.path, tmp_path / which)
+        return status, err
+
+    status, err = labels([2, 2, 3, 7, 7, -1], "some")
+    assert status == 0 and "7 (2 faces)" in err and "labels.json" in err
+    kept = [0, 0, 1, -1, -1, -1]
+    assert Project.open(project.path).labels("cube").tolist() == kept
+    status, err = labels([9] * 6, "none")
+    assert status == 1 and "others only (9)" in err and "cube stays as it was" in err
+    after = Project.open(project.path)
+    assert after.labels("cube").tolist() == kept and after.part_names.names == ("leg", "seat")
+    assert [Path(problem.file).parent.name for problem in after.problems if problem.kind == "error"] == ["none"]
+    assert labels([2] * 6, "right")[0] == 0
+    assert not [one for one in Project.open(project.path).problems if one.kind == "error"], "it is labelled now"
+
+
+def test_files_that_are_gone_are_no_longer_complained_of(
+    project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "more").mkdir()
+    broken = tmp_path / "more" / "broken.obj"
+    broken.write_text("nothing")
+    shutil.copy(project.mesh_path("cube"), tmp_path / "more" / "other.obj")
+    assert "broken.obj" in run(capsys, "import", project.path, tmp_path / "more")[2]
+    assert any(problem.file == str(broken) for problem in Project.open(project.path).problems)
+    broken.unlink()
+    run(capsys, "import", project.path, tmp_path / "more")
+    assert not any(problem.file == str(broken) for problem in Project.open(project.path).problems)
+
+
 def test_labels_of_shapes_that_are_not_there(
     project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -110,6 +110,12 @@ def read_seg(path: str | Path, n_faces: int, part_names: PartNames | None = None
     return np.where(known[by_id][at] == ids, by_id[at], UNLABELLED).astype(np.int32)
 
 
+def unknown_ids(path: str | Path, part_names: PartNames) -> dict[int, int]:
+    """Ids from 0 on in a ``.seg`` file that ``part_names`` does not have, and how many faces have each."""
+    ids, times = np.unique(_read_ids(Path(path)), return_counts=True)
+    return {i: n for i, n in zip(ids.tolist(), times.tolist(), strict=True) if i >= 0 and i not in part_names.ids}
+
+
 def write_seg(path: str | Path, faces: Int[np.ndarray, " F"], part_names: PartNames) -> None:
     """Write the id of each face's part index (F,), -1 where unlabelled."""
     if len(faces) and not -1 <= faces.min() <= faces.max() < len(part_names):
