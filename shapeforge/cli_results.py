@@ -34,7 +34,10 @@ def apply(
 def export(
     path: ProjectPath,
     out: Out,
-    probabilities: Annotated[bool, typer.Option("--probabilities", help="Also probabilities/<name>.npz.")] = False,
+    probabilities: Annotated[
+        bool,
+        typer.Option("--probabilities", help="Also probabilities/<name>.npz, as they are before labels are smoothed."),
+    ] = False,
     jobs: Jobs = None,
     as_json: Json = False,
 ) -> None:

@@ -102,7 +102,7 @@ def label(task: Task) -> Iterator[Progress]:
     taken, problems, absent = [], [], []
     project.set_part_names(part_names)
     for step, name in enumerate(wanted):
-        file = folder / f"{name}.seg"
+        file = seg_file(folder, name)
         problem = None
         if not file.is_file():
             absent.append(name)
@@ -126,9 +126,9 @@ def label(task: Task) -> Iterator[Progress]:
                 problems.append(problem)
                 message = str(error)
         yield task.progress("read", step + 1, len(wanted), message, problem=problem)
-    over = {f"{name}.seg" for name in taken}  # what was wrong with other files for the same shape
+    over = {seg_file(folder, name).name for name in taken}  # what was wrong with other files for the same shape
     about = [problem.file for problem in project.problems if Path(problem.file).name in over]
-    project.set_problems(problems, [*about, *(str((folder / f"{name}.seg").resolve()) for name in wanted)])
+    project.set_problems(problems, [*about, *(str(seg_file(folder, name).resolve()) for name in wanted)])
     text = f"{counted(len(taken), 'shape')} labelled with {counted(len(part_names), 'part')}"
     if asked and absent:
         text += f", {', '.join(absent)} without"
@@ -162,12 +162,18 @@ def parts_without_exemplar(project: Project) -> list[str]:
     return [name for part, name in enumerate(project.part_names.names) if part not in shown]
 
 
+def seg_file(folder: Path, name: str) -> Path:
+    """The labels of a shape in a folder: ``chair.seg``, and of ``a__chair`` also ``a/chair.seg``, as the meshes lay."""
+    file, nested = folder / f"{name}.seg", folder / f"{name.replace('__', '/')}.seg"
+    return nested if nested.is_file() and not file.is_file() else file
+
+
 def _can_be_read(project: Project, folder: Path, name: str, wanted: Sequence[str], given: PartNames) -> bool:
     """Whether a shape will get new labels."""
     from shapeforge.collection.labels import LabelError
 
     try:
-        return name in wanted and len(_read_known(folder / f"{name}.seg", project, name, given)[0]) > 0
+        return name in wanted and len(_read_known(seg_file(folder, name), project, name, given)[0]) > 0
     except LabelError:
         return False
 
@@ -275,6 +281,9 @@ def cosegment(task: Task) -> Iterator[Progress]:
     text = proposed_text(proposal, edited=bool(options["edits"]))
     task.summary |= {"text": text, "parts": number, "energy": float(getattr(proposal, "energy", np.nan))}
     task.summary["part_names"] = list(proposal.part_names)
+    if set(proposal.exemplars.tolist()) != set(project.groups.exemplars.tolist()):
+        names = ", ".join(project.names[t] for t in proposal.exemplars)
+        text += f"; a fit starts from {names}, with more of them than the groups' exemplars"
     yield task.progress("propose", 1, 1, text, state=proposal)
 
 

@@ -335,6 +335,19 @@ def test_ids_without_a_name_are_told_and_wipe_no_labels(
     assert not [one for one in Project.open(project.path).problems if one.kind == "error"], "it is labelled now"
 
 
+def test_labels_of_meshes_of_one_name_lie_as_the_meshes_do(
+    project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for which in ("a", "b"):
+        (tmp_path / which).mkdir()
+        shutil.copy(project.mesh_path("cube"), tmp_path / which / "twin.obj")
+    (tmp_path / "a" / "twin.seg").write_text("1\n" * 6)
+    assert run(capsys, "import", tmp_path / "two", tmp_path / "a", tmp_path / "b")[0] == 0
+    assert run(capsys, "label", tmp_path / "two", tmp_path)[0] == 0
+    two = Project.open(tmp_path / "two")
+    assert two.names == ("a__twin", "b__twin") and two.labelled == ("a__twin",)
+
+
 def test_files_that_are_gone_are_no_longer_complained_of(
     project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
