@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from shapeforge.collection.iterate import last
 from shapeforge.collection.labels import UNLABELLED, PartNames
+from shapeforge.stages_status import starts_from_proposal
 from shapeforge.viewer import brushes, spreading
 from shapeforge.viewer.display import Mark, MeshLayer, View, face_colours
 from shapeforge.viewer.first_parts import ProposedEdits, are_proposed
@@ -80,7 +81,7 @@ class Painter:
         self.state.clock = lambda: clock(self.state, self.edits)
         self.state.recorded = lambda: self.edits.forget_undone()
         self._remember_saved()
-        self._suggested = self._proposed_faces(name) if are_proposed(self.session) else None
+        self._suggested = self._proposed_faces(name) if starts_from_proposal(project) else None
         self._plane_known = False
         self._patches = self._ground = None
         self.hidden = frozenset()
@@ -193,6 +194,8 @@ class Painter:
         before, part = self.edits.table, self.session.part
         change(None if self.name is None else (self.name, self.state))
         after = self.edits.table
+        if (before.ids, before.names) != (after.ids, after.names):
+            self._suggested = None  # paint is no longer of the proposed parts, and a fit does without these
         self.state.set_table(after)
         where = after.part_of
         self.hidden = frozenset(where[before.ids[p]] for p in self.hidden if before.ids[p] in where)
@@ -351,8 +354,9 @@ class Painter:
         hidden = self.hidden_parts
         inks = self.session.project.part_inks()
         colours = face_colours(labels, inks)
-        if (proposed := self.proposed_faces) is not None:
-            colours = pale(label_colours(proposed, inks), np.full(len(labels), SUGGESTED))
+        if self._suggested is not None:  # what a fit takes where nothing is painted
+            suggested = pale(label_colours(self._suggested, inks), np.full(len(labels), SUGGESTED))
+            colours = np.where((labels < 0)[:, None], suggested, colours)
         colours = colours[self.mesh.face_of_triangle]
         gone = np.isin(labels, list(hidden))[self.mesh.face_of_triangle] if hidden else None
         key = None if gone is None else gone.tobytes()

@@ -76,3 +76,20 @@ def test_a_shape_is_opened_without_reading_the_chances_of_all(proposed: Session,
     monkeypatch.undo()
     found = stages_collection.proposed_points(project)
     assert all(np.array_equal(one, other) for one, other in zip(found, wanted, strict=True)), "of an earlier version"
+
+
+def test_proposed_parts_stay_in_sight_around_strokes(proposed: Session):
+    """A fit takes the proposed parts where an exemplar is not painted; so that is what is seen."""
+    painter = Painter(proposed)
+    painter.open(proposed.project.names[2])
+    before = painter.view().layers[0].colours
+    faces = np.arange(10)
+    painter.state.stroke("brush", "brush", faces, np.full(len(faces), 1))
+    now, on = painter.view().layers[0].colours, painter.mesh.face_of_triangle
+    assert np.array_equal(now[on >= 10], before[on >= 10])
+    assert (now[on < 10] == proposed.project.part_inks()[1]).all()
+    painter.save()
+    painter.open(proposed.project.names[2])
+    assert np.array_equal(painter.view().layers[0].colours, now)
+    painter.remove_part(0)  # what is painted now is of other parts, and the proposed ones are none any more
+    assert not np.array_equal(painter.view().layers[0].colours[on >= 10], before[on >= 10])
