@@ -222,7 +222,8 @@ def test_proposed_parts_are_seen_pale_and_the_fit_can_start_from_them(open_windo
     hands.click(int(hands.visible()[0]))
     unpainted = hands.painter.state.labels[hands.painter.mesh.face_of_triangle] < 0
     after = hands.view.shown.views[0].layers[0].colours
-    assert len(np.unique(after[unpainted], axis=0)) == 1, "what is painted counts now: the rest is blank"
+    assert np.array_equal(after[unpainted], shown[unpainted]), "a fit takes the proposed parts there"
+    assert not np.array_equal(after[~unpainted], shown[~unpainted]) and hands.place.next.fit.isEnabled()
     qtbot.waitUntil(lambda: "Proposed" not in hands.place.parts.hint.text(), timeout=5000)
 
 
