@@ -138,7 +138,7 @@ def costs_at(planned: Any, state: Any | None, of: int) -> Any:
 
 
 def starting_parts(project: Project) -> tuple[dict[int, np.ndarray], tuple[str, ...], Sequence[np.ndarray] | None]:
-    """Labels by shape index, part names, and proposed label probabilities per point where no exemplar has labels."""
+    """Labels by shape index, part names, and label probabilities per point where the fit starts from proposed parts."""
     labels = {t: project.labels(name) for t, name in enumerate(project.names) if project.label_key(name)}
     proposal = read_proposal(project) if starts_from_proposal(project) else None
     if proposal is not None:

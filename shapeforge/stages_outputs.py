@@ -161,9 +161,9 @@ def _left_in(out: Path, stage: str, written: Mapping[str, Sequence[str]]) -> Ite
     """
     others = [
         file
-        for folder, names in written.items()
+        for folder, own in ((folder, set(names)) for folder, names in written.items())
         for file in sorted((out / folder).glob("*.seg" if folder == "labels" else "*.npz"))
-        if file.stem not in set(names)
+        if file.stem not in own
     ]
     if others:
         which = f"{others[0].relative_to(out)}{', …' if len(others) > 1 else ''}"
